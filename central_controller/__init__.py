@@ -1,0 +1,1 @@
+"""The process that guides the formation: n odometries and scans in, n commands out."""

@@ -1,0 +1,29 @@
+"""From a robot's own odometry frame, which starts at (0, 0, 0), to the formation frame and back."""
+
+from typing import NamedTuple
+
+from maniple.control.unicycle import control_point
+from maniple.core.geometry import Pose
+from maniple.core.messages import Odometry
+
+
+class Mounting(NamedTuple):
+    """Where a robot's own frame is in the formation frame, and which of its points is controlled."""
+
+    origin: Pose
+    """The robot's initial pose."""
+    control_point_m: float
+
+    def point(self, own: Pose) -> tuple[float, float]:
+        """The control point (m) in the formation frame of the robot at `own` in its own frame."""
+        return control_point(self.origin.compose(own), self.control_point_m)
+
+    def velocity_in_own(self, vx: float, vy: float) -> tuple[float, float]:
+        """A velocity given in the formation frame, in the robot's own frame."""
+        return Pose(0.0, 0.0, -self.origin.psi).rotate(vx, vy)
+
+
+def propagated(odometry: Odometry, age_s: float) -> Pose:
+    """Where the robot is in its own frame `age_s` after its odometry, had it kept its velocities."""
+    pose = Pose(odometry.x_m, odometry.y_m, odometry.psi_rad)
+    return pose.advance(odometry.u_mps * age_s, odometry.w_radps * age_s)

@@ -1,0 +1,5 @@
+"""`python -m maniple`: the command line."""
+
+from maniple.cli.main import main
+
+main()

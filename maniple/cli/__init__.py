@@ -1,0 +1,1 @@
+"""The command line, and the edge where files are read and processes started."""

@@ -1,0 +1,168 @@
+"""`maniple.run`: from Python what `maniple run` does on the command line."""
+
+import datetime
+import os
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import msgspec
+
+from maniple.cli.loading import completed, load
+from maniple.cli.machine import describe_machine
+from maniple.cli.progress import Progress
+from maniple.cli.realtime import run_realtime
+from maniple.cli.virtual import run_virtual
+from maniple.core.errors import ArgumentError, RecordingError, ScenarioError
+from maniple.core.scenario.types import Scenario
+from maniple.host.clock import FASTEST, SLOWEST
+from maniple.recording.info import describe
+from maniple.recording.reader import read
+from maniple.report.summary import Errors, MessageCounts, Percentiles, RunFigures
+
+
+class Result(msgspec.Struct, frozen=True):
+    """What a run amounts to; what `maniple run --json` prints."""
+
+    scenario: str
+    mode: str
+    """ "realtime" or "virtual"."""
+    seed: int
+    robots: int
+    duration_s: float
+    """Simulated time until the end of the task, or of the run."""
+    wall_s: float
+    real_time_factor: float
+    """Simulated time over wall time."""
+    completed: bool
+    """Whether the task's end was reached."""
+    collisions: int
+    """Onsets of contact, ground truth."""
+    min_clearance_m: float | None
+    """Smallest distance from a robot's outline to anything, ground truth."""
+    final_error: Errors
+    """Ground truth against the desired formation, mean of the last second."""
+    peak_error: Errors
+    estimated_final_error: Errors
+    """The final error as the controller sees it."""
+    messages: MessageCounts
+    command_age_ms: Percentiles
+    """Of what the robots acted on, by their own clocks."""
+    log: str
+    """The recording."""
+    unrecorded: int = 0
+    """Messages that the recording lacks, by their sequence numbers."""
+    interrupted: bool = False
+
+    @property
+    def ok(self) -> bool:
+        """Whether the task was completed without a collision."""
+        return self.completed and self.collisions == 0
+
+
+def run(
+    scenario: Scenario | Path | str,
+    *,
+    virtual: bool = False,
+    speed: float = 1.0,
+    duration_s: float | None = None,
+    seed: int | None = None,
+    overrides: Sequence[str] = (),
+    log: Path | str | None = None,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Result:
+    """Run a scenario to the end of its task, or for `duration_s` of simulated time, and record it.
+
+    `scenario` is a file or a `Scenario`; `overrides` are as `--set` takes them ("controller.kappa=0.3").
+    With `virtual` all nodes run in this process in virtual time, else each in a process of its own over
+    Zenoh at `speed` times the wall clock. An existing `log` is not overwritten; by default a new file in
+    `logs/`.
+
+    Raises:
+        ArgumentError: speed or duration is not valid.
+        ScenarioError: the scenario is not valid.
+        RecordingError: the recording can't be written.
+        RunError: a process of the run failed; the recording up to then is there.
+    """
+    _require_valid(virtual, speed, duration_s)
+    given = None if log is None else _given_path(Path(log))
+    resolved = _resolved(scenario, overrides, seed)
+    path = given or _new_path(f"{resolved.name}-{'virtual-' if virtual else ''}")
+    mode = "virtual" if virtual else "realtime"
+    begin = time.perf_counter()
+    if virtual:
+        metadata = describe_machine(resolved, mode)
+        figures, interrupted = run_virtual(resolved, path, metadata, duration_s, on_progress)
+    else:
+        figures, interrupted = run_realtime(resolved, path, speed, duration_s, on_progress)
+    unrecorded = describe(read(path)).missing if not virtual and path.exists() else 0
+    return _result(resolved, mode, figures, time.perf_counter() - begin, path, unrecorded, interrupted)
+
+
+def _require_valid(virtual: bool, speed: float, duration_s: float | None) -> None:
+    if not SLOWEST <= speed <= FASTEST:
+        raise ArgumentError(f"speed = {speed:g}: must be from {SLOWEST:g} to {FASTEST:g}")
+    if virtual and speed != 1.0:
+        raise ArgumentError(
+            f"speed = {speed:g}: virtual time goes as fast as it can; speed is for real processes"
+        )
+    if duration_s is not None and not 0 < duration_s < 1e9:
+        raise ArgumentError(f"duration = {duration_s:g} s: must be above 0 and less than 1e9")
+
+
+def _resolved(scenario: Scenario | Path | str, overrides: Sequence[str], seed: int | None) -> Scenario:
+    if not isinstance(scenario, Scenario):
+        return load(Path(scenario), overrides, seed)
+    if overrides:
+        raise ScenarioError(
+            "overrides are for scenario files; change a Scenario with msgspec.structs.replace"
+        )
+    return completed(scenario if seed is None else msgspec.structs.replace(scenario, seed=seed))
+
+
+def _given_path(path: Path) -> Path:
+    """Where the recording is asked to be; found out now that it can't, not by the recorder later."""
+    try:
+        there, folder = path.exists(), path.parent.is_dir()
+    except OSError as error:
+        raise RecordingError(f"can't create {path}: {error.strerror}") from None
+    if there:
+        raise RecordingError(f"{path} exists already; a recording is never overwritten")
+    if not folder:
+        raise RecordingError(f"can't create {path}: {path.parent} is not a directory")
+    return path
+
+
+def _new_path(stem: str) -> Path:
+    """A new file in `logs/`; the process id is in its name, so that runs that start together do not clash."""
+    folder = Path("logs")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise RecordingError(f"can't create {folder.absolute()}: {error.strerror}") from None
+    stem += f"{datetime.datetime.now():%Y%m%d-%H%M%S}-{os.getpid()}"
+    names = (stem, *(f"{stem}-{number}" for number in range(2, 10_000)))
+    return next(path for name in names if not (path := folder / f"{name}.mcap").exists())
+
+
+def _result(
+    scenario: Scenario,
+    mode: str,
+    figures: RunFigures,
+    wall_s: float,
+    path: Path,
+    unrecorded: int,
+    interrupted: bool,
+) -> Result:
+    return Result(
+        scenario=scenario.name,
+        mode=mode,
+        seed=scenario.seed,
+        robots=len(scenario.robots),
+        wall_s=round(wall_s, 3),
+        real_time_factor=round(figures.duration_s / wall_s, 3),
+        log=str(path),
+        unrecorded=unrecorded,
+        interrupted=interrupted,
+        **msgspec.structs.asdict(figures),
+    )

@@ -1,0 +1,86 @@
+"""Scenario files and catalogues, read and checked."""
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Literal, TypeVar
+
+from maniple.core.errors import ScenarioError
+from maniple.core.scenario.check import require_valid
+from maniple.core.scenario.parse import json_data, parameters_of, scenario_of, toml_data, with_overrides
+from maniple.core.scenario.resolve import resolve
+from maniple.core.scenario.types import Parameters, RangeFinder, RobotModel, Scenario
+
+LARGEST_FILE = 16 * 2**20
+"""Bytes; nothing larger is taken for a scenario."""
+
+P = TypeVar("P", bound=Parameters)
+
+
+def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> Scenario:
+    """The scenario in a TOML file, or in a `.json` one, with overrides applied, resolved and valid.
+
+    Raises:
+        ScenarioError: names the file and what is wrong with it.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST_FILE + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ScenarioError(f"{path}: can't be read: {reason}") from None
+    form: Literal["toml", "json"] = "json" if path.suffix.lower() == ".json" else "toml"
+    return loads(data, overrides, seed, form=form, source=str(path))
+
+
+def loads(
+    data: bytes,
+    overrides: Sequence[str] = (),
+    seed: int | None = None,
+    *,
+    form: Literal["toml", "json"] = "toml",
+    source: str = "scenario",
+) -> Scenario:
+    """The scenario in bytes, as `load` gives it; `source` is what messages call them."""
+    try:
+        if len(data) > LARGEST_FILE:
+            raise ScenarioError(f"larger than {LARGEST_FILE >> 20} MiB: not a scenario")
+        table = with_overrides(json_data(data) if form == "json" else toml_data(data), overrides)
+        if seed is not None:
+            table["seed"] = seed
+        return completed(scenario_of(table))
+    except ScenarioError as error:
+        lines = str(error).splitlines()
+        raise ScenarioError("\n".join(f"{source}: {line}" for line in lines)) from None
+
+
+def completed(scenario: Scenario) -> Scenario:
+    """The scenario, resolved with the catalogues and checked.
+
+    Raises:
+        ScenarioError: it can't be resolved or is not valid.
+    """
+    resolved = resolve(scenario, robot_models(), range_finders())
+    require_valid(resolved)
+    return resolved
+
+
+def robot_models() -> Mapping[str, RobotModel]:
+    """The catalogue of robots, by name."""
+    return _catalogue("robots", RobotModel)
+
+
+def range_finders() -> Mapping[str, RangeFinder]:
+    """The catalogue of range finders, by name."""
+    return _catalogue("sensors", RangeFinder)
+
+
+@cache
+def _catalogue(folder: str, kind: type[P]) -> Mapping[str, P]:
+    entries = (files("maniple.cli") / "catalogue" / folder).iterdir()
+    return {
+        entry.name.removesuffix(".toml"): parameters_of(kind, toml_data(entry.read_bytes()))
+        for entry in sorted(entries, key=lambda entry: entry.name)
+        if entry.name.endswith(".toml")
+    }

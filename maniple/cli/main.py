@@ -1,0 +1,41 @@
+"""The program `maniple`. Heavy parts are imported by the command that needs them."""
+
+import errno
+import os
+import sys
+
+from maniple.cli.processes import environment
+
+environment()
+
+from maniple.cli import node_commands  # noqa: E402 - nothing may import NumPy before the environment is set
+from maniple.core.errors import ManipleError, RunError  # noqa: E402
+
+_OUTPUT_IS_GONE = (errno.ENOSPC, errno.EPIPE, errno.EBADF)
+
+
+def main() -> None:
+    """Run the command line; a user's mistake ends in one message and status 2, a failed run in status 1."""
+    try:
+        if sys.argv[1:] and sys.argv[1] in node_commands.COMMANDS:
+            node_commands.main(sys.argv[1:])
+        else:
+            from maniple.cli.program import app
+
+            app()
+    except ManipleError as error:
+        from rich.console import Console
+
+        Console(stderr=True, soft_wrap=True).print(
+            f"error: {error}", style="red", highlight=False, markup=False
+        )
+        sys.exit(1 if isinstance(error, RunError) else 2)
+    except OSError as error:
+        if error.errno not in _OUTPUT_IS_GONE:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        sys.exit(f"error: can't write to standard output: {error.strerror}")
+
+
+if __name__ == "__main__":
+    main()

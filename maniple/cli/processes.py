@@ -1,0 +1,170 @@
+"""The table of processes of a run, and one process of it as a child."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from maniple.core.errors import RunError
+from maniple.core.scenario.types import Scenario
+
+LIFE = 1
+"""The incarnation of every node of a run: `maniple run` restarts nothing."""
+
+LAST_WORDS = 20
+"""Lines of a child's standard error that are kept."""
+
+
+class Process(NamedTuple):
+    """One row of the table."""
+
+    name: str
+    arguments: tuple[str, ...]
+    """Of `maniple`."""
+
+
+def table(scenario: Scenario, connect: str, anchor: str, log: str) -> tuple[tuple[Process, ...], ...]:
+    """The processes of a run, in stages: each stage starts when the one before is there.
+
+    They are stopped in the order `stop_order` gives.
+    """
+    common = ("--scenario", "-", "--connect", connect, "--anchor", anchor)
+    life = ("--incarnation", str(LIFE))
+    return (
+        (Process("router", ("router", "--scenario", "-", "--listen", connect)),),
+        (Process("recorder", ("recorder", *common, "--log", log)),),
+        (
+            Process("simulator", ("simulator", *common, *life)),
+            *(Process(robot.id, ("agent", robot.id, *common, *life)) for robot in scenario.robots),
+            Process("controller", ("controller", *common, *life)),
+        ),
+    )
+
+
+def stop_order(scenario: Scenario) -> tuple[tuple[str, ...], ...]:
+    """Who is stopped together, first to last: commands end, robots stand, and the recorder sees it."""
+    return (
+        ("controller",),
+        tuple(robot.id for robot in scenario.robots),
+        ("simulator",),
+        ("recorder",),
+        ("router",),
+    )
+
+
+MANIPLE = (sys.executable, "-m", "maniple")
+"""The program, as this process runs it."""
+
+
+class Child:
+    """A running process of the table. It ends when this process does: its standard input closes.
+
+    Raises:
+        RunError: it can't be started.
+    """
+
+    def __init__(self, process: Process, scenario_json: bytes, program: Sequence[str] = MANIPLE) -> None:
+        self.name = process.name
+        self._last_words: deque[str] = deque(maxlen=LAST_WORDS)
+        self._spoke = threading.Event()
+        try:
+            self._popen = subprocess.Popen(  # noqa: S603 - our own interpreter and arguments
+                [*program, *process.arguments],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                start_new_session=True,  # a terminal's Ctrl-C goes to the supervisor alone
+            )
+        except OSError as error:
+            raise RunError(f"{self.name} could not be started: {error.strerror}") from None
+        self._threads = [
+            threading.Thread(target=work, args=arguments, daemon=True)
+            for work, *arguments in ((self._feed, scenario_json), (self._hear,), (self._listen,))
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._popen.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether it still runs."""
+        return self._popen.poll() is None
+
+    def spoke(self, timeout_s: float) -> bool:
+        """Whether it has said something on its standard output; waits for that."""
+        return self._spoke.wait(timeout_s)
+
+    def interrupt(self) -> None:
+        """Ask it to finish."""
+        if self.alive:
+            self._popen.send_signal(signal.SIGINT)
+            self._popen.send_signal(signal.SIGCONT)  # one that is frozen would not hear it
+
+    def finish(self, until: float) -> None:
+        """Wait for its end, and end it by force at `until` (monotonic seconds)."""
+        try:
+            self._popen.wait(max(until - time.monotonic(), 0.0))
+        except subprocess.TimeoutExpired:
+            self._popen.kill()
+            self._popen.wait()
+        for thread in self._threads:
+            thread.join(1.0)
+        assert self._popen.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._popen.stdin.close()
+
+    def epitaph(self) -> str:
+        """How it ended, with its last words."""
+        code = self._popen.poll()
+        if code is None:
+            how = "still runs"
+        elif code < 0:
+            how = f"was killed by {signal.Signals(-code).name}"
+        else:
+            how = f"ended with status {code}"
+        self._threads[-1].join(0.2)
+        words = "\n  ".join(self._last_words)
+        return f"{self.name} (process {self.pid}) {how}" + (f"; its last words:\n  {words}" if words else "")
+
+    def _feed(self, scenario_json: bytes) -> None:
+        """Write the scenario, which may be more than a pipe holds, and keep the pipe open."""
+        assert self._popen.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._popen.stdin.write(scenario_json + b"\n")
+            self._popen.stdin.flush()
+
+    def _hear(self) -> None:
+        assert self._popen.stdout is not None
+        with self._popen.stdout as stream:
+            for _ in stream:
+                self._spoke.set()
+
+    def _listen(self) -> None:
+        assert self._popen.stderr is not None
+        with self._popen.stderr as stream:
+            for line in stream:
+                self._last_words.append(line.decode(errors="replace").rstrip())
+
+
+def finish_all(children: Sequence[Child], until: float) -> None:
+    """Ask several children to finish, and wait for all."""
+    for child in children:
+        child.interrupt()
+    for child in children:
+        child.finish(until)
+
+
+def environment() -> None:
+    """Settings every process of the platoon has: linear algebra with one thread. Before NumPy is imported."""
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")

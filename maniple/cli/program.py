@@ -1,0 +1,45 @@
+"""The commands of `maniple` for people; those of `node_commands` are listed and passed on."""
+
+import typer
+
+from maniple.cli import log_commands, node_commands, run_command, scenario_commands
+from maniple.core.version import __version__
+
+app = typer.Typer(
+    name="maniple",
+    help="Guide mobile robots in formation over a network that fails, and prove afterwards what happened.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+def _pass_on(context: typer.Context) -> None:
+    node_commands.main([context.info_name or "", *context.args])
+
+
+app.command("run")(run_command.run)
+for _name, _about in node_commands.COMMANDS.items():
+    app.command(
+        _name,
+        help=_about,
+        add_help_option=False,
+        context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+    )(_pass_on)
+app.add_typer(log_commands.app, name="log")
+app.add_typer(scenario_commands.app, name="scenario")
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Show the version."
+    ),
+) -> None:
+    pass

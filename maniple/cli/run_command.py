@@ -1,0 +1,97 @@
+"""`maniple run`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from maniple.cli.progress import LiveProgress
+
+if TYPE_CHECKING:
+    from maniple.cli.api import Result
+    from maniple.report.summary import Errors
+
+
+def run(
+    scenario: Annotated[Path, typer.Argument(help="Scenario file (TOML).")],
+    virtual: Annotated[
+        bool, typer.Option("--virtual", help="In one process and virtual time instead of real processes.")
+    ] = False,
+    speed: Annotated[float, typer.Option(help="Times real time, without --virtual.")] = 1.0,
+    duration: Annotated[
+        float | None, typer.Option(help="End after this many simulated seconds, done or not.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Instead of the scenario's.")] = None,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a field of the scenario.")
+    ] = None,
+    log: Annotated[Path | None, typer.Option(help="Recording; by default a new file in logs/.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+) -> None:
+    """Run a scenario to the end of its task and record everything.
+
+    Exit status: 0 if the task was completed without a collision, 1 if not, 2 bad input, 130 interrupted.
+    """
+    from maniple.cli import api
+
+    with LiveProgress(Console(stderr=True), scenario.stem) as show:
+        result = api.run(
+            scenario,
+            virtual=virtual,
+            speed=speed,
+            duration_s=duration,
+            seed=seed,
+            overrides=overrides or (),
+            log=log,
+            on_progress=show,
+        )
+    if json:
+        typer.echo(msgspec.json.encode(result))
+    else:
+        console = Console()
+        console.print(_summary(result))
+        console.print("  recording", result.log, highlight=False, markup=False, soft_wrap=True)
+        if result.unrecorded:
+            console.print(f"  {result.unrecorded} messages are missing in it: maniple log info", style="red")
+    raise typer.Exit(130 if result.interrupted else 0 if result.ok else 1)
+
+
+def _summary(result: Result) -> Table:
+    clearance = "-" if result.min_clearance_m is None else f"{result.min_clearance_m:.3f} m"
+    outcome = "completed" if result.completed else "interrupted" if result.interrupted else "not completed"
+    if result.collisions:
+        outcome += f", {result.collisions} collisions"
+    counts = result.messages
+    table = Table(box=None, show_header=False, padding=(0, 2))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    table.add_row("outcome", outcome, style="green" if result.ok else "red")
+    table.add_row(
+        "time", f"{result.duration_s:.1f} s in {result.wall_s:.1f} s ({result.real_time_factor:.1f} x)"
+    )
+    table.add_row("closest to anything", clearance)
+    for name, errors in (("peak error", result.peak_error), ("final error", result.final_error)):
+        table.add_row(name, _errors(errors))
+    age = result.command_age_ms
+    if age.p50 is not None and age.p99 is not None:
+        table.add_row("command age", f"{age.p50:.0f} ms median, {age.p99:.0f} ms p99")
+    table.add_row(
+        "messages",
+        f"{counts.delivered} of {counts.sent} delivered; lost: {counts.lost_injected} injected, "
+        f"{counts.lost_other} other; {counts.refused} refused",
+    )
+    return table
+
+
+def _errors(errors: Errors) -> str:
+    if errors.position_m is None:
+        return "-"
+    return (
+        f"{errors.position_m:.3f} m, {errors.orientation_rad:.3f} rad (pose), "
+        f"{errors.distance_m:.3f} m, {errors.angle_rad:.3f} rad (shape)"
+    )

@@ -1,0 +1,69 @@
+"""A run in virtual time, in this process."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from maniple.cli.interrupt import on_interrupt
+from maniple.cli.nodes import RUNDOWN_S, factories, time_limit_s
+from maniple.cli.progress import Progress, ProgressWatch
+from maniple.core import codec
+from maniple.core.envelope import Envelope
+from maniple.core.messages import FormationState
+from maniple.core.scenario.parse import to_json
+from maniple.core.scenario.types import Scenario
+from maniple.core.time import Time, from_seconds
+from maniple.host.virtual import VirtualHost
+from maniple.recording.writer import RecordingWriter
+from maniple.report.summary import RunFigures, Summary
+
+
+def run_virtual(
+    scenario: Scenario,
+    log: Path,
+    metadata: Mapping[str, str],
+    duration_s: float | None,
+    on_progress: Callable[[Progress], None],
+) -> tuple[RunFigures, bool]:
+    """Run to the end of the task, or of `duration_s`; returns the figures, and whether it was interrupted.
+
+    Raises:
+        RecordingError: the recording can't be written.
+    """
+    summary = Summary(scenario)
+    watch = ProgressWatch(scenario)
+    read: dict[str, bool] = {}
+    interrupted = False
+
+    def tap(envelope: Envelope, arrival: Time) -> None:
+        topic = envelope.topic
+        writer.write(topic, envelope.data, arrival, envelope.stamp_ns, envelope.seq)
+        writer.tick(arrival)
+        wanted = read.get(topic)
+        if wanted is None:
+            wanted = read[topic] = summary.wants(topic)
+        if wanted:
+            message = codec.decode(topic, envelope.data)
+            summary.add(message)
+            watch.add(message)
+            if isinstance(message, FormationState):
+                on_progress(watch.progress())
+                if message.phase == "done":
+                    host.halt()
+
+    def interrupt() -> None:
+        nonlocal interrupted
+        interrupted = True
+        host.halt()
+
+    host = VirtualHost([make(1) for make in factories(scenario).values()], scenario, tap)
+    recording = RecordingWriter(
+        log, to_json(scenario), metadata, prefix=scenario.network.prefix, now=host.now
+    )
+    with recording as writer, on_interrupt(interrupt):
+        host.start()
+        host.run(host.now + from_seconds(time_limit_s(scenario, duration_s)))
+        host.stop(["controller"])
+        host.stop(robot.id for robot in scenario.robots)
+        host.run(host.now + from_seconds(RUNDOWN_S))
+        host.stop(["simulator"])
+    return summary.figures(), interrupted

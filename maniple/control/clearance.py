@@ -1,0 +1,96 @@
+"""How fast a robot may go among what it sees, so that it can always stop before it.
+
+The clearance clamp keeps a disc around the robot clear of what its range finder sees, whatever the robot is
+told. It keeps one manoeuvre open, to brake and stop turning at once, by two rules for every return at
+distance d and bearing beta. With u > 0 (backwards likewise), D the circumscribed circle's radius plus the
+margin:
+
+- braking: the way to a stand, u T + u^2 / (2 brake) + lag u', must fit into d - D, here with half of the
+  margin, as far as it could lead towards the return: by the cosine of beta less what the robot still turns
+  until then. T is how long a command lasts and how old what is known may be; u' is the larger of u and of
+  the measured speed, for wheels that follow late: with a first-order lag, x + lag x' moves just as it is
+  sent. Where even full braking breaks the rule, because the turn commanded leads nearer, the turn ends too.
+- approach: u cos(beta) <= gamma (d - D - lag u' cos(beta)), so that what is left of d shrinks exponentially
+  at most. gamma is at most 1 / (3 T), the most that a loop of delay T follows without overshoot. What is
+  abeam does not limit, for u does not approach it.
+
+So the disc without its margin touches nothing that stands still and has been seen, in whatever direction
+the robot goes, if the drive brakes and follows no slower than its model says and goes no faster than it,
+and if odometry and ranges are no older than their periods. Half of the margin is for what they are off by;
+the model's coupling of speed and turning (th3, th5) is not looked at. No promise is made about what moves,
+such as other robots.
+
+What the range finder can't see is taken to be right there: a robot with a laser in front does not reverse.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from maniple.control.limits import Limits, Velocity
+from maniple.control.returns import Returns
+from maniple.core.geometry import Floats
+from maniple.core.scenario.types import Guard
+
+
+class ClearSpeed(NamedTuple):
+    """The largest speeds, m/s in the direction wanted, that the clearance rules allow."""
+
+    comfortable: float
+    """By the approach rule, at least 0."""
+    stoppable: float
+    """By the braking rule; negative where the robot may not even turn as wanted while it comes to a stand."""
+
+
+def clear_speed(
+    parameters: Guard,
+    limits: Limits,
+    wanted: Velocity,
+    measured: Velocity,
+    ahead: bool,
+    returns: Returns,
+    dt_s: float,
+) -> ClearSpeed:
+    """What the clearance rules allow of `wanted`, ahead or backwards; `measured` is how the robot moves.
+
+    Both count in that direction, and turns either way: nothing is negative. `dt_s` is how long a command
+    lasts.
+    """
+    brake, lag = limits.brake, limits.u_lag_s
+    speed, rolling = wanted.u, measured.u / limits.gain
+    blind_s = dt_s + limits.delay_s
+    gamma = min(parameters.gamma_per_s, 1.0 / (3.0 * blind_s))
+    keep = limits.radius + parameters.margin_m
+    way = lag * max(speed, rolling) + max(speed / gamma, speed * blind_s + 0.5 * speed * speed / brake)
+    near = (returns.distance < keep + limits.gain * way).nonzero()[0]
+    if not near.size:
+        return ClearSpeed(speed, speed)
+    turn = limits.gain * (wanted.w * blind_s + 0.5 * wanted.w * wanted.w / limits.w_accel)
+    turn += limits.w_lag_s * max(limits.gain * wanted.w, measured.w)
+    room = (returns.distance[near] - keep) / limits.gain
+    off = np.abs(returns.bearing[near])
+    if not ahead:
+        off = math.pi - off
+    left = _way_until(room, off)
+    comfortable = min(gamma * (left - lag * rolling), gamma * left / (1.0 + gamma * lag))
+    left = _way_until(room + 0.5 * parameters.margin_m / limits.gain, np.maximum(off - turn, 0.0))
+    stoppable = min(
+        _braked_within(left - lag * rolling, brake, blind_s), _braked_within(left, brake, blind_s + lag)
+    )
+    return ClearSpeed(min(max(comfortable, 0.0), speed), min(stoppable, speed))
+
+
+def _way_until(room: Floats, off: Floats) -> float:
+    """The way (m) in directions `off` by these angles (rad) that uses up the first `room` (m)."""
+    approach = np.cos(off)
+    closing = approach > 1e-9
+    return float((room[closing] / approach[closing]).min(initial=math.inf))
+
+
+def _braked_within(way: float, brake: float, delay_s: float) -> float:
+    """The speed from which a robot that begins to brake after a delay stands after `way` (m); negative if
+    there is none."""
+    if way < 0.0:
+        return -1.0
+    return math.sqrt(brake * brake * delay_s * delay_s + 2.0 * brake * way) - brake * delay_s

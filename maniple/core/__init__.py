@@ -1,0 +1,1 @@
+"""Pure foundations: time, geometry, messages, topics, nodes, scenarios, faults, random streams, errors."""

@@ -1,0 +1,266 @@
+"""What types can't say: whether a resolved scenario makes sense as a whole."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
+from itertools import combinations
+
+from maniple.core.errors import ScenarioError
+from maniple.core.scenario import outline
+from maniple.core.scenario.parse import type_problems
+from maniple.core.scenario.places import Shape, desired_shapes
+from maniple.core.scenario.types import Obstacle, Polygon, RangeFinder, RobotModel, Scenario, Wall
+from maniple.core.topics import TOPICS
+
+RESERVED = ("controller", "simulator", "recorder", "router")
+"""Names of nodes that no robot may have."""
+
+TOLERANCE_M = 0.01
+"""A desired triangle this near to a singular one is refused: the law divides by such distances."""
+
+FARTHEST_M = 10_000.0
+"""Ground truth is sent as float32, which resolves 1 mm up to here."""
+
+LEAST_GAIN, MOST_GAIN = 1e-6, 1e3
+"""The law divides gains and saturations by each other."""
+
+LONGEST_S = 1e6
+"""Of a task."""
+
+
+def require_valid(scenario: Scenario) -> None:
+    """Refuse a resolved scenario that can't be run.
+
+    Raises:
+        ScenarioError: a line for each problem.
+    """
+    if found := problems(scenario):
+        raise ScenarioError("\n".join(found))
+
+
+def problems(scenario: Scenario) -> list[str]:
+    """What is wrong with a resolved scenario: path, value and what would be valid; empty if nothing is."""
+    if found := type_problems(scenario):
+        return found
+    found = [*_platoon(scenario), *_unresolved(scenario)]
+    if found:
+        return found
+    parts = (
+        _triangles,
+        _task,
+        _obstacles,
+        _bodies,
+        _models,
+        _sensors,
+        _controller,
+        _limits,
+        _rates,
+        _faults,
+        _distances,
+    )
+    return [text for part in parts for text in part(scenario)]
+
+
+def _platoon(scenario: Scenario) -> Iterator[str]:
+    robots = scenario.robots
+    if len(robots) < 3:
+        yield f"robots: there are {len(robots)}; must be at least 3, for one triangle"
+    ids = [robot.id for robot in robots]
+    for index, name in enumerate(ids):
+        if name in RESERVED:
+            yield f"robots[{index}].id = {name!r}: names a node; must be none of {', '.join(RESERVED)}"
+        if (first := ids.index(name)) < index:
+            yield f"robots[{index}].id = {name!r}: robots[{first}] has it already; must be unique"
+    if (points := len(scenario.formation.points)) != len(robots):
+        yield f"formation.points: has {points} points; must be {len(robots)}, one for each robot"
+
+
+def _unresolved(scenario: Scenario) -> Iterator[str]:
+    for index, robot in enumerate(scenario.robots):
+        if robot.model not in scenario.models:
+            yield f"robots[{index}].model = {robot.model!r}: must be one of {_names(scenario.models)}"
+        if robot.sensor not in scenario.sensors:
+            yield f"robots[{index}].sensor = {robot.sensor!r}: must be one of {_names(scenario.sensors)}"
+        if robot.pose is None:
+            yield f"robots[{index}].pose: missing; must be [x, y, heading] in a resolved scenario"
+
+
+def _triangles(scenario: Scenario) -> Iterator[str]:
+    for index, shape in enumerate(desired_shapes(scenario)):
+        fault = _singularity(shape, scenario.controller.angle)
+        if fault:
+            a, b, c = shape.robots
+            yield (
+                f"formation.points[{index}:{index + 3}]: the desired triangle {a}, {b}, {c} is singular: "
+                f"{fault}; must differ by more than {TOLERANCE_M} m"
+            )
+
+
+def _singularity(shape: Shape, angle: str) -> str | None:
+    a, b, c = shape.robots
+    if shape.p < TOLERANCE_M:
+        return f"{a} and {b} are at the same place (p = {shape.p:.3g} m)"
+    if shape.q < TOLERANCE_M:
+        return f"{a} and {c} are at the same place (q = {shape.q:.3g} m)"
+    if shape.median < TOLERANCE_M:
+        return f"{a} is midway between {b} and {c}, so that it has no heading"
+    if angle == "unsigned" and shape.height < TOLERANCE_M:
+        return "all three are in a line, where controller.angle = 'unsigned' breaks down ('signed' does not)"
+    return None
+
+
+def _task(scenario: Scenario) -> Iterator[str]:
+    task = scenario.task
+    if math.dist(task.start, task.end) < TOLERANCE_M:
+        yield f"task.end = {list(task.end)}: is where task.start is; must be more than {TOLERANCE_M} m away"
+    elif (lasts := math.dist(task.start, task.end) / task.speed_mps) > LONGEST_S:
+        yield f"task.speed_mps = {task.speed_mps}: the line takes {lasts:g} s; must be <= {LONGEST_S:g} s"
+    for index, robot in enumerate(scenario.robots):
+        if task.speed_mps >= (limit := scenario.model_of(robot).u_max_mps):
+            yield (
+                f"task.speed_mps = {task.speed_mps}: too fast for robots[{index}] ({robot.id}); "
+                f"must be < {limit}, the u_max_mps of models.{robot.model}"
+            )
+            return
+
+
+def _obstacles(scenario: Scenario) -> Iterator[str]:
+    for index, obstacle in enumerate(scenario.world.obstacles):
+        path = f"world.obstacles[{index}]"
+        if isinstance(obstacle, Wall) and obstacle.start == obstacle.end:
+            yield f"{path}.end = {list(obstacle.end)}: is its start; must be another point"
+        if not isinstance(obstacle, Polygon):
+            continue
+        if (edges := outline.self_contact(obstacle.points)) is not None:
+            i, j = edges
+            what = f"edge {i} has no length" if i == j else f"edges {i} and {j} meet"
+            yield f"{path}.points: {what}; must be the corners of a simple polygon, in order"
+        elif abs(outline.area(obstacle.points)) < 1e-9:
+            yield f"{path}.points: enclose no area; must be a polygon with an inside"
+
+
+def _bodies(scenario: Scenario) -> Iterator[str]:
+    """Robots that touch each other or an obstacle at the start, by their true outlines."""
+    bodies = []
+    for robot in scenario.robots:
+        model = scenario.model_of(robot)
+        assert robot.pose is not None
+        radius = 0.5 * math.hypot(model.length_m, model.width_m)
+        bodies.append((robot.id, robot.pose, radius, outline.body(robot.pose, model)))
+    for (i, (first, a, ra, outline_a)), (j, (second, b, rb, outline_b)) in combinations(enumerate(bodies), 2):
+        if math.dist(a[:2], b[:2]) <= ra + rb and outline.gap(outline_a, outline_b) == 0.0:
+            yield (
+                f"robots[{j}].pose = {_rounded(b)}: {second} touches {first} "
+                f"(robots[{i}], pose {_rounded(a)}) at the start; must be clear of it"
+            )
+    for index, obstacle in enumerate(scenario.world.obstacles):
+        for i, (name, pose, _, corners) in enumerate(bodies):
+            if outline.gap_to(corners, obstacle) == 0.0:
+                yield (
+                    f"robots[{i}].pose = {_rounded(pose)}: {name} touches world.obstacles[{index}] "
+                    f"({_kind(obstacle)}) at the start; must be clear of it"
+                )
+
+
+def _models(scenario: Scenario) -> Iterator[str]:
+    for name, model in scenario.models.items():
+        yield from _model(f"models.{name}", model)
+        longest = 1.0 / scenario.rates.drive_hz
+        if model.drive_timeout_s <= longest:
+            yield (
+                f"models.{name}.drive_timeout_s = {model.drive_timeout_s}: the drive would brake between "
+                f"commands; must be > {longest:g}, the period of rates.drive_hz"
+            )
+
+
+def _model(path: str, model: RobotModel) -> Iterator[str]:
+    for index in (0, 1, 3, 5):
+        if model.theta[index] <= 0.0:
+            yield f"{path}.theta[{index}] = {model.theta[index]}: must be > 0, or the drive is unstable"
+
+
+def _sensors(scenario: Scenario) -> Iterator[str]:
+    for name, sensor in scenario.sensors.items():
+        yield from _sensor(f"sensors.{name}", sensor)
+
+
+def _sensor(path: str, sensor: RangeFinder) -> Iterator[str]:
+    if sensor.range_min_m >= sensor.range_max_m:
+        yield f"{path}.range_min_m = {sensor.range_min_m}: must be < range_max_m = {sensor.range_max_m}"
+    fan = (sensor.beams - 1) * sensor.increment_rad
+    if fan > 2.0 * math.pi + 1e-9:
+        most = 2.0 * math.pi / (sensor.beams - 1)
+        yield (
+            f"{path}.increment_rad = {sensor.increment_rad}: {sensor.beams} beams make a fan of "
+            f"{math.degrees(fan):.0f} degrees; must be <= {most:.6g} (360 degrees)"
+        )
+
+
+def _controller(scenario: Scenario) -> Iterator[str]:
+    gains = scenario.controller
+    for name, gain in (("kappa", gains.kappa), ("saturation", gains.saturation)):
+        entries = enumerate(gain) if isinstance(gain, tuple) else [(None, gain)]
+        for index, value in entries:
+            if not LEAST_GAIN <= value <= MOST_GAIN:
+                path = f"controller.{name}" if index is None else f"controller.{name}[{index}]"
+                yield f"{path} = {value}: must be >= {LEAST_GAIN:g} and <= {MOST_GAIN:g}"
+
+
+def _limits(scenario: Scenario) -> Iterator[str]:
+    shell, guard = scenario.avoidance, scenario.guard
+    if shell.d_min_m >= shell.d_max_m:
+        yield f"avoidance.d_min_m = {shell.d_min_m}: must be < d_max_m = {shell.d_max_m}"
+    hold, stop = guard.hold_after_s, guard.stop_after_s
+    if hold is not None and stop is not None and hold >= stop:
+        yield f"guard.hold_after_s = {hold}: must be < stop_after_s = {stop}"
+
+
+def _rates(scenario: Scenario) -> Iterator[str]:
+    rates = scenario.rates
+    for name in ("motion_hz", "scan_hz", "truth_hz"):
+        value = getattr(rates, name)
+        if value > rates.physics_hz:
+            yield f"rates.{name} = {value}: must be <= physics_hz = {rates.physics_hz}"
+
+
+def _faults(scenario: Scenario) -> Iterator[str]:
+    """Rules that match nothing: most likely a slip of the pen."""
+    ids = [robot.id for robot in scenario.robots]
+    nodes = ["controller", *ids]
+    patterns = [row.pattern for row in TOPICS if row.faults]
+    topics = list(dict.fromkeys(pattern.replace("{id}", name) for name in ids for pattern in patterns))
+    for index, rule in enumerate(scenario.faults):
+        for field, names in (("source", nodes), ("destination", nodes), ("topic", topics)):
+            pattern = getattr(rule, field)
+            if not any(fnmatchcase(name, pattern) for name in names):
+                yield f"faults[{index}].{field} = {pattern!r}: matches nothing; valid: {_some(names)}"
+
+
+def _distances(scenario: Scenario) -> Iterator[str]:
+    places = [("task.start", scenario.task.start), ("task.end", scenario.task.end)]
+    places += [(f"formation.points[{i}]", point) for i, point in enumerate(scenario.formation.points)]
+    places += [(f"robots[{i}].pose", robot.pose[:2]) for i, robot in enumerate(scenario.robots) if robot.pose]
+    for path, point in places:
+        if max(map(abs, point)) > FARTHEST_M:
+            yield f"{path} = {list(point)}: must be within {FARTHEST_M:g} m"
+    for i, obstacle in enumerate(scenario.world.obstacles):
+        corner = max(outline.box_around(obstacle), key=lambda corner: max(map(abs, corner)))
+        if max(map(abs, corner)) > FARTHEST_M:
+            what = f"world.obstacles[{i}] ({_kind(obstacle)})"
+            yield f"{what}: reaches to {_rounded(corner)}; must be within {FARTHEST_M:g} m"
+
+
+def _names(entries: Mapping[str, object]) -> str:
+    return ", ".join(sorted(entries)) or "(none are defined)"
+
+
+def _some(names: Sequence[str], most: int = 8) -> str:
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
+
+
+def _kind(obstacle: Obstacle) -> str:
+    return type(obstacle).__name__.lower()
+
+
+def _rounded(pose: Sequence[float]) -> list[float]:
+    return [round(value, 3) for value in pose]

@@ -1,0 +1,99 @@
+"""A scenario with everything filled in that it leaves to catalogues, defaults and chance."""
+
+import math
+from collections.abc import Mapping
+from typing import TypeVar
+
+from msgspec.structs import replace
+
+from maniple.core.errors import ScenarioError
+from maniple.core.geometry import Pose, wrap
+from maniple.core.scenario.parse import type_problems
+from maniple.core.scenario.places import start_pose
+from maniple.core.scenario.types import (
+    Parameters,
+    PoseXY,
+    RangeFinder,
+    Robot,
+    RobotModel,
+    Scenario,
+    Start,
+)
+from maniple.core.streams import stream
+
+P = TypeVar("P", bound=Parameters)
+
+
+def resolve(
+    scenario: Scenario, models: Mapping[str, RobotModel], sensors: Mapping[str, RangeFinder]
+) -> Scenario:
+    """The scenario with every referenced type of robot and range finder in it and a pose for every robot.
+
+    Entries of the scenario win over those of the catalogues `models` and `sensors`. A scenario that is
+    resolved already comes back unchanged.
+
+    Raises:
+        ScenarioError: wrong types or numbers that are not finite, a type that is in neither, or a robot
+            with neither a pose nor a point of the formation.
+    """
+    if found := type_problems(scenario):
+        raise ScenarioError("\n".join(found))
+    if any(robot.pose is None for robot in scenario.robots):
+        require_points(scenario)
+    known_models = _referenced("model", scenario, scenario.models, models)
+    known_sensors = _referenced("sensor", scenario, scenario.sensors, sensors)
+    robots = tuple(
+        replace(robot, pose=initial_pose(scenario, index)) for index, robot in enumerate(scenario.robots)
+    )
+    return replace(scenario, robots=robots, models=known_models, sensors=known_sensors)
+
+
+def require_points(scenario: Scenario) -> None:
+    """Refuse a formation that has not one point for each robot.
+
+    Raises:
+        ScenarioError: it has not.
+    """
+    points, robots = len(scenario.formation.points), len(scenario.robots)
+    if points != robots:
+        raise ScenarioError(f"formation.points: has {points} points; must be {robots}, one for each robot")
+
+
+def initial_pose(scenario: Scenario, index: int) -> PoseXY:
+    """Pose (m, m, rad) of the middle of the axle of one robot at the start.
+
+    Without a pose of its own, the robot's control point is at its place in the formation, scattered by
+    `start`, evenly over a disc.
+    """
+    robot = scenario.robots[index]
+    if robot.pose is not None:
+        x, y, psi = robot.pose
+        return float(x), float(y), float(psi)
+    place = start_pose(scenario.task).compose(Pose(*scenario.formation.points[index], 0.0))
+    dx, dy, turn = _scatter(scenario.seed, scenario.start, robot)
+    psi = wrap(place.psi + turn)
+    a = robot.control_point_m
+    return place.x + dx - a * math.cos(psi), place.y + dy - a * math.sin(psi), psi
+
+
+def _scatter(seed: int, start: Start, robot: Robot) -> tuple[float, float, float]:
+    share, direction, turn = stream(seed, f"start/{robot.id}").random(3).tolist()
+    distance = start.scatter_m * math.sqrt(share)
+    angle = 2.0 * math.pi * direction
+    return distance * math.cos(angle), distance * math.sin(angle), start.scatter_rad * (2.0 * turn - 1.0)
+
+
+def _referenced(
+    field: str, scenario: Scenario, own: Mapping[str, P], catalogue: Mapping[str, P]
+) -> dict[str, P]:
+    """The scenario's own entries and those of the catalogue that its robots refer to."""
+    entries = dict(own)
+    for index, robot in enumerate(scenario.robots):
+        name = getattr(robot, field)
+        if name in entries:
+            continue
+        if name not in catalogue:
+            known = ", ".join(sorted({*own, *catalogue}))
+            raise ScenarioError(f"robots[{index}].{field} = {name!r}: must be one of {known}")
+        entries[name] = catalogue[name]
+    return entries

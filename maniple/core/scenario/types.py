@@ -1,0 +1,340 @@
+"""Every parameter type. Each field's docstring is what `docs/scenario.md` says of it.
+
+SI units, radians, counter-clockwise, x forward/east, y left/north. Poses are (x m, y m, heading rad).
+"""
+
+from typing import Annotated, Literal, TypeAlias
+
+import msgspec
+from msgspec import Meta
+
+from maniple.core.messages import Layer
+
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+Seconds = Annotated[float, Meta(ge=0, le=1_000_000)]
+PositiveSeconds = Annotated[float, Meta(gt=0, le=1_000_000)]
+Probability = Annotated[float, Meta(ge=0, le=1)]
+Rate = Annotated[float, Meta(ge=0.001, le=1000, description="Hz")]
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
+Point: TypeAlias = tuple[float, float]
+PoseXY: TypeAlias = tuple[float, float, float]
+Six: TypeAlias = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
+
+
+class Parameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of all parameter types: frozen, by keyword, unknown fields refused."""
+
+
+class Formation(Parameters, frozen=True, kw_only=True):
+    """The desired shape: where each robot's control point is to be, in the formation's own frame."""
+
+    points: tuple[Point, ...]
+    """One (x forward, y left) for each robot, in the order of the robots."""
+
+
+class Line(Parameters, frozen=True, kw_only=True, tag_field="kind", tag="line"):
+    """Task: the formation's frame travels along a straight line at constant speed, facing along it."""
+
+    start: Point
+    """Where the formation's origin starts."""
+    end: Point
+    """Where it ends."""
+    speed_mps: Positive
+    """Speed of the reference; less than any robot's `u_max_mps`."""
+    settle_s: Seconds = 0.0
+    """How long the reference rests at the end before the task counts as completed."""
+
+
+Task: TypeAlias = Line
+"""What the platoon is to do; `kind` chooses."""
+
+
+class Circle(Parameters, frozen=True, kw_only=True, tag_field="kind", tag="circle"):
+    """Obstacle: a disc."""
+
+    centre: Point
+    """Its middle."""
+    radius_m: Positive
+    """Its radius."""
+
+
+class Box(Parameters, frozen=True, kw_only=True, tag_field="kind", tag="box"):
+    """Obstacle: a rectangle."""
+
+    centre: Point
+    """Its middle."""
+    size: tuple[Positive, Positive]
+    """Length along its own x and y."""
+    angle_rad: float = 0.0
+    """Of its own x axis."""
+
+
+class Polygon(Parameters, frozen=True, kw_only=True, tag_field="kind", tag="polygon"):
+    """Obstacle: a simple polygon, convex or not."""
+
+    points: Annotated[tuple[Point, ...], Meta(min_length=3)]
+    """Corners in order; edges may not cross or touch."""
+
+
+class Wall(Parameters, frozen=True, kw_only=True, tag_field="kind", tag="wall"):
+    """Obstacle: a line without thickness."""
+
+    start: Point
+    """One end."""
+    end: Point
+    """The other."""
+
+
+Obstacle: TypeAlias = Circle | Box | Polygon | Wall
+"""What stands in the way; `kind` chooses."""
+
+
+class World(Parameters, frozen=True, kw_only=True):
+    """What is around the robots."""
+
+    obstacles: tuple[Obstacle, ...] = ()
+    """Circles, boxes, polygons and walls."""
+
+
+class RobotModel(Parameters, frozen=True, kw_only=True):
+    """A type of differential-drive robot."""
+
+    length_m: Positive
+    """Of the body, along x; the body is a rectangle centred on the middle of the axle."""
+    width_m: Positive
+    """Of the body, along y."""
+    wheel_radius_m: Positive
+    """Of the driven wheels."""
+    track_m: Positive
+    """Distance between the wheels (the effective one for skid steering)."""
+    ticks_per_revolution: Positive
+    """Encoder counts in one turn of a wheel."""
+    u_max_mps: Positive
+    """Largest forward and backward speed."""
+    w_max_radps: Positive
+    """Largest turning rate."""
+    u_accel_mps2: Positive
+    """Largest forward acceleration that is commanded."""
+    w_accel_radps2: Positive
+    """Largest angular acceleration that is commanded."""
+    brake_mps2: Positive
+    """Deceleration the robot can be trusted to brake with."""
+    theta: tuple[float, float, float, float, float, float]
+    """Velocity dynamics, th1 .. th6: th1 u' = th3 w^2 - th4 u + u_ref; th2 w' = -th5 u w - th6 w + w_ref
+    (Martins et al. 2008, doi 10.1016/j.conengprac.2008.03.004); th1, th2, th4 and th6 are positive."""
+    drive_timeout_s: PositiveSeconds = 0.5
+    """A drive that hears nothing for this long brakes by itself; longer than the period of `drive_hz`."""
+    sensor_mount: PoseXY = (0.0, 0.0, 0.0)
+    """Where a range finder sits on the body."""
+
+
+class RangeFinder(Parameters, frozen=True, kw_only=True):
+    """A type of range finder: a fan of beams."""
+
+    beams: Annotated[int, Meta(ge=1, le=10_000)]
+    """Number of beams."""
+    first_angle_rad: float
+    """Direction of the first beam in the sensor's frame; the others follow counter-clockwise."""
+    increment_rad: Positive
+    """Angle between neighbouring beams; the fan covers at most a full turn."""
+    range_min_m: NotNegative = 0.0
+    """Nearer than this it can't measure; less than `range_max_m`."""
+    range_max_m: Positive
+    """Farther than this it sees nothing."""
+    sigma_m: NotNegative = 0.0
+    """Standard deviation of the error."""
+    resolution_m: NotNegative = 0.0
+    """Step of the readings; 0 for none."""
+
+
+class Robot(Parameters, frozen=True, kw_only=True):
+    """One robot of the platoon."""
+
+    id: Name
+    """Its name in topics, commands and reports; unique, and not that of another node ("controller",
+    "simulator", "recorder", "router")."""
+    model: str = "pioneer-3dx"
+    """A type of robot: one of `models`, or of the catalogue."""
+    sensor: str = "sick-lms200"
+    """A type of range finder: one of `sensors`, or of the catalogue."""
+    driver: Literal["simulator"] = "simulator"
+    """What its drive and sensors really are."""
+    control_point_m: Positive = 0.2
+    """Distance a from the middle of the axle forward to the point that is controlled."""
+    pose: PoseXY | None = None
+    """Initial pose of the middle of the axle; by default the control point starts at its place."""
+
+
+class Start(Parameters, frozen=True, kw_only=True):
+    """How far from their places robots without a `pose` start."""
+
+    scatter_m: NotNegative = 0.0
+    """Each starts at most this far from its place, in a random direction."""
+    scatter_rad: NotNegative = 0.0
+    """Each starts turned by at most this much."""
+
+
+class Controller(Parameters, frozen=True, kw_only=True):
+    """The formation law, eq. (7): q_ref' = q_des' + L tanh(L^-1 kappa (q_des - q))."""
+
+    # Not `Positive | Six`: msgspec 0.22 crashes on a union of a constrained number and a tuple of such.
+    # `check` knows their bounds.
+    kappa: float | Six = 0.25
+    """Gain, 1/s, from 1e-6 to 1000: one number for all, or one for each of x, y, psi_F, p, q, beta."""
+    saturation: float | Six = 0.10
+    """L, the most each of the six is corrected, m/s and rad/s, from 1e-6 to 1000: one number, or six."""
+    angle: Literal["signed", "unsigned"] = "signed"
+    """Shape angle: signed tells a triangle from its mirror image; unsigned is the paper's eq. (4)."""
+
+
+class Impedance(Parameters, frozen=True, kw_only=True):
+    """Mechanical impedance I x'' + B x' + K x = F, eqs. (13) and (14)."""
+
+    inertia: Positive
+    """I."""
+    damping: Positive
+    """B."""
+    stiffness: Positive
+    """K."""
+
+
+class Avoidance(Parameters, frozen=True, kw_only=True):
+    """Virtual forces and mechanical impedance, eqs. (9) to (14)."""
+
+    enabled: bool = True
+    """Whether the layer is there at all."""
+    b: Positive = 1.0
+    """Force per squared metre inside the shell, eq. (9)."""
+    d_min_m: NotNegative = 0.30
+    """Nearer than this the force stays at its largest; less than `d_max_m`."""
+    d_max_m: Positive = 0.95
+    """Radius of the virtual shell, from the robot's centre."""
+    linear: Impedance = Impedance(inertia=0.4, damping=5.6, stiffness=10.0)
+    """How the speed reacts, eq. (13)."""
+    angular: Impedance = Impedance(inertia=0.2, damping=1.4, stiffness=0.65)
+    """How the turning rate reacts, eq. (14)."""
+    form: Literal["cos", "sin"] = "cos"
+    """How a force slows the robot: F cos(beta) as the text says, or F sin(beta) as eq. (13) is printed."""
+    split: Literal["objects", "returns"] = "objects"
+    """Left and right: each object once, on the side of its nearest return, or return by return."""
+    gap_m: Positive = 0.30
+    """Neighbouring returns farther apart than this belong to different objects."""
+
+
+class Placement(Parameters, frozen=True, kw_only=True):
+    """Where the layers of each robot run."""
+
+    robot_from: Layer = "kinematics"
+    """The first layer that runs on the robot: "drive" (all central, as in the paper), "compensation",
+    "avoidance" or "kinematics"."""
+
+
+class Guard(Parameters, frozen=True, kw_only=True):
+    """What a robot does to what it is told, last and on its own."""
+
+    clearance: bool = True
+    """Whether it refuses to drive into what it senses."""
+    gamma_per_s: Positive = 1.0
+    """It approaches a thing at distance d no faster than this times what is left of d."""
+    margin_m: NotNegative = 0.05
+    """Distance it keeps, beyond the circle around its body."""
+    hold_after_s: PositiveSeconds | None = None
+    """Commands computed from data older than this slow it down; less than `stop_after_s`, by default half
+    of it."""
+    stop_after_s: PositiveSeconds | None = None
+    """At this age it stands; by default what the control loop tolerates (see docs/architecture.md)."""
+
+
+class Rates(Parameters, frozen=True, kw_only=True):
+    """How often things happen, Hz."""
+
+    physics_hz: Rate = 100.0
+    """Steps of the simulated world."""
+    motion_hz: Rate = 20.0
+    """Encoders and odometry; at most `physics_hz`."""
+    scan_hz: Rate = 10.0
+    """Range finders; at most `physics_hz`."""
+    control_hz: Rate = 10.0
+    """Formation control."""
+    drive_hz: Rate = 20.0
+    """Commands to the drive."""
+    status_hz: Rate = 2.0
+    """Robot status."""
+    truth_hz: Rate = 10.0
+    """Ground truth; at most `physics_hz`."""
+
+
+class Links(Parameters, frozen=True, kw_only=True):
+    """The network as it is without faults."""
+
+    prefix: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$")] = "maniple"
+    """Of every key."""
+    fleet_latency_s: PositiveSeconds = 0.001
+    """Least latency between robots and controller in virtual time."""
+    hardware_latency_s: PositiveSeconds = 0.0002
+    """Least latency between an agent and its hardware in virtual time."""
+
+
+class Fault(Parameters, frozen=True, kw_only=True):
+    """What the fleet network does to the messages of the links that match."""
+
+    source: str = "*"
+    """Sending node; `*`, `?` and `[...]` match as in file names."""
+    destination: str = "*"
+    """Receiving node, likewise."""
+    topic: str = "*"
+    """Topic, likewise: "robot/*/command"."""
+    latency_s: Seconds = 0.0
+    """Delay of every message, one way."""
+    jitter_s: Seconds = 0.0
+    """The delay is off by up to this much, evenly, either way."""
+    loss: Probability = 0.0
+    """Share of the messages that are lost, each on its own."""
+
+
+class Scenario(Parameters, frozen=True, kw_only=True):
+    """A whole run: robots, formation, task, world, and every parameter of every part."""
+
+    name: Name
+    """What recordings and reports are called."""
+    description: str = ""
+    """For people."""
+    seed: Annotated[int, Meta(ge=0, le=2**53)] = 1
+    """Of every random stream."""
+    robots: tuple[Robot, ...]
+    """The platoon, in the order of the triangle chain: the first three are the leader triangle."""
+    formation: Formation
+    """The desired shape."""
+    task: Task
+    """What the platoon is to do."""
+    start: Start = Start()
+    """How the robots stand at first."""
+    world: World = World()
+    """What is around them."""
+    controller: Controller = Controller()
+    """The formation law."""
+    avoidance: Avoidance = Avoidance()
+    """Obstacle avoidance of each robot."""
+    placement: Placement = Placement()
+    """Where the layers run."""
+    guard: Guard = Guard()
+    """The robots' own last word."""
+    rates: Rates = Rates()
+    """How often things happen."""
+    network: Links = Links()
+    """The network without faults."""
+    faults: tuple[Fault, ...] = ()
+    """What is wrong with it."""
+    models: dict[str, RobotModel] = {}
+    """Types of robots, beside those of the catalogue."""
+    sensors: dict[str, RangeFinder] = {}
+    """Types of range finders, beside those of the catalogue."""
+
+    def model_of(self, robot: Robot) -> RobotModel:
+        """The type of a robot of a resolved scenario."""
+        return self.models[robot.model]
+
+    def sensor_of(self, robot: Robot) -> RangeFinder:
+        """The range finder of a robot of a resolved scenario."""
+        return self.sensors[robot.sensor]

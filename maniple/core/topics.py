@@ -1,0 +1,195 @@
+"""The one table of topics. A key on the network is `PREFIX/NAME`; a name has its `{id}` filled in."""
+
+from functools import cache
+from typing import Literal, TypeAlias
+
+import msgspec
+
+from maniple.core import messages
+from maniple.core.errors import MessageError
+
+Network: TypeAlias = Literal["fleet", "hardware", "host"]
+"""Which network a topic lives on: "fleet" may fail, "hardware" is a robot's own wiring, "host" is local."""
+
+
+class Topic(msgspec.Struct, frozen=True, kw_only=True):
+    """One row of the table."""
+
+    pattern: str
+    """Name with `{id}` for the robot or node."""
+    type: type[messages.Message]
+    rate_hz: float
+    """Nominal; 0 for messages sent on an occasion."""
+    stale_after_s: float = 0.0
+    """Older than this, the last value says nothing about now; 0 for never."""
+    sender: str = ""
+    """Who may send it, as a node name or "{id}"; empty for anybody."""
+    network: Network = "fleet"
+    priority: Literal["commands", "state", "sensors", "background"] = "state"
+    congestion: Literal["drop", "block"] = "drop"
+    reliability: Literal["reliable", "best_effort"] = "reliable"
+    latched: bool = False
+    """Whether the router keeps the last value for late joiners."""
+    recorded: bool = True
+    faults: bool = False
+    """Whether network faults apply."""
+
+
+TOPICS: tuple[Topic, ...] = (
+    Topic(
+        pattern="robot/{id}/odometry",
+        type=messages.Odometry,
+        rate_hz=20,
+        stale_after_s=0.5,
+        sender="{id}",
+        latched=True,
+        faults=True,
+    ),
+    Topic(
+        pattern="robot/{id}/ranges",
+        type=messages.Scan,
+        rate_hz=10,
+        stale_after_s=0.5,
+        sender="{id}",
+        priority="sensors",
+        faults=True,
+    ),
+    Topic(
+        pattern="robot/{id}/status",
+        type=messages.Status,
+        rate_hz=2,
+        stale_after_s=2.0,
+        sender="{id}",
+        priority="background",
+        faults=True,
+    ),
+    Topic(
+        pattern="robot/{id}/command",
+        type=messages.Command,
+        rate_hz=10,
+        stale_after_s=0.5,
+        sender="controller",
+        priority="commands",
+        faults=True,
+    ),
+    Topic(
+        pattern="formation/state",
+        type=messages.FormationState,
+        rate_hz=10,
+        stale_after_s=1.0,
+        sender="controller",
+        latched=True,
+        faults=True,
+    ),
+    Topic(pattern="faults/decisions", type=messages.Decisions, rate_hz=5, priority="background"),
+    Topic(
+        pattern="hw/{id}/drive",
+        type=messages.Drive,
+        rate_hz=20,
+        stale_after_s=0.5,
+        sender="{id}",
+        network="hardware",
+        priority="commands",
+    ),
+    Topic(
+        pattern="hw/{id}/motion",
+        type=messages.Motion,
+        rate_hz=20,
+        stale_after_s=0.5,
+        sender="simulator",
+        network="hardware",
+    ),
+    Topic(
+        pattern="hw/{id}/scan",
+        type=messages.Scan,
+        rate_hz=10,
+        stale_after_s=0.5,
+        sender="simulator",
+        network="hardware",
+        priority="sensors",
+    ),
+    Topic(pattern="sim/truth", type=messages.Truth, rate_hz=10, sender="simulator", network="hardware"),
+    Topic(
+        pattern="journal/{id}",
+        type=messages.Journal,
+        rate_hz=5,
+        sender="{id}",
+        priority="background",
+        congestion="block",
+    ),
+    Topic(pattern="host/alive", type=messages.Alive, rate_hz=0, network="host", recorded=False),
+    Topic(pattern="host/refused", type=messages.Refused, rate_hz=0, network="host", recorded=False),
+    Topic(pattern="host/counters", type=messages.Counters, rate_hz=1, network="host", recorded=False),
+)
+
+HOST_ALIVE = "host/alive"
+HOST_REFUSED = "host/refused"
+HOST_COUNTERS = "host/counters"
+DECISIONS = "faults/decisions"
+FORMATION_STATE = "formation/state"
+TRUTH = "sim/truth"
+
+
+@cache
+def topic(name: str) -> Topic:
+    """The row of a topic name.
+
+    Raises:
+        MessageError: no row has this name.
+    """
+    parts = name.split("/")
+    for row in TOPICS:
+        pattern = row.pattern.split("/")
+        if len(pattern) == len(parts) and all(
+            p in ("{id}", q) and q for p, q in zip(pattern, parts, strict=True)
+        ):
+            return row
+    known = ", ".join(row.pattern for row in TOPICS)
+    raise MessageError(f"topic {name!r} is not in the table; topics are {known}")
+
+
+@cache
+def sender_of(name: str) -> str:
+    """The node that alone may send on a topic; empty where anybody may."""
+    row = topic(name)
+    return row.sender.replace("{id}", name.split("/")[1]) if "{id}" in row.sender else row.sender
+
+
+def odometry(robot: str) -> str:
+    """Topic of a robot's odometry."""
+    return f"robot/{robot}/odometry"
+
+
+def ranges(robot: str) -> str:
+    """Topic of what a robot senses, as its agent passes it on."""
+    return f"robot/{robot}/ranges"
+
+
+def status(robot: str) -> str:
+    """Topic of a robot's status."""
+    return f"robot/{robot}/status"
+
+
+def command(robot: str) -> str:
+    """Topic of the commands to a robot."""
+    return f"robot/{robot}/command"
+
+
+def drive(robot: str) -> str:
+    """Topic of the commands to a robot's drive."""
+    return f"hw/{robot}/drive"
+
+
+def motion(robot: str) -> str:
+    """Topic of what a robot's drive reports."""
+    return f"hw/{robot}/motion"
+
+
+def scan(robot: str) -> str:
+    """Topic of a robot's range finder."""
+    return f"hw/{robot}/scan"
+
+
+def journal(node: str) -> str:
+    """Topic of a node's journal."""
+    return f"journal/{node}"

@@ -1,0 +1,104 @@
+"""What became of the messages on links that faults apply to, counted from journals and decisions."""
+
+from collections.abc import Iterator
+
+from maniple.core import codec, topics
+from maniple.core.errors import MessageError
+from maniple.core.messages import Call, Decisions, Journal, Refused
+
+
+class _Flow:
+    """One directed link: a sender's life, a topic, a receiver."""
+
+    __slots__ = ("accepted", "decided", "dropped", "first", "last", "refused")
+
+    def __init__(self) -> None:
+        self.first = -1
+        self.last = -1
+        self.accepted = self.decided = self.dropped = self.refused = 0
+
+    def saw(self, seq: int) -> None:
+        self.first = seq if self.first < 0 else min(self.first, seq)
+        self.last = max(self.last, seq)
+
+
+class LinkCounts:
+    """Counts messages over links, each from the first message its receiver knew of to the last."""
+
+    def __init__(self) -> None:
+        self._flows: dict[tuple[str, str, str, int], _Flow] = {}
+        self._refused = 0
+
+    def journal(self, journal: Journal) -> None:
+        """A receiver's journal."""
+        receiver = journal.source
+        for call in journal.calls:
+            if call.kind != "message":
+                continue
+            if call.name == topics.HOST_REFUSED:
+                self._refusal(call, receiver)
+            elif topics.topic(call.name).faults:
+                flow = self._flow(receiver, call.source, call.name, call.incarnation)
+                flow.saw(call.seq)
+                flow.accepted += 1
+
+    def decisions(self, decisions: Decisions) -> None:
+        """What a receiver's fault injection did."""
+        receiver = decisions.source
+        for decided in decisions.decided:
+            flow = self._flow(receiver, decided.source, decided.topic, decided.incarnation)
+            flow.saw(decided.seq)
+            flow.decided += 1
+            flow.dropped += decided.dropped
+
+    def totals(self) -> dict[str, int]:
+        """`sent`, `delivered`, `lost_injected`, `lost_other` and `refused` over all links.
+
+        What is still held back by an injected delay at the end is sent, and none of the others.
+        """
+        sent = delivered = injected = missing = 0
+        for flow in self._flows.values():
+            span = flow.last - flow.first + 1
+            sent += span
+            delivered += flow.accepted
+            injected += flow.dropped
+            missing += span - (flow.decided or flow.accepted + flow.refused)
+        return {
+            "sent": sent,
+            "delivered": delivered,
+            "lost_injected": injected,
+            "lost_other": max(missing, 0),
+            "refused": self._refused,
+        }
+
+    def _refusal(self, call: Call, receiver: str) -> None:
+        for refused in _refused_in(call):
+            if not refused.topic or not _faults_apply(refused.topic):
+                continue
+            self._refused += 1
+            for (to, sender, topic, _), flow in self._flows.items():
+                if (to, sender, topic) == (receiver, refused.sender, refused.topic):
+                    flow.refused += 1
+
+    def _flow(self, receiver: str, source: str, topic: str, incarnation: int) -> _Flow:
+        key = (receiver, source, topic, incarnation)
+        flow = self._flows.get(key)
+        if flow is None:
+            flow = self._flows[key] = _Flow()
+        return flow
+
+
+def _refused_in(call: Call) -> Iterator[Refused]:
+    try:
+        message = codec.decode(call.name, call.data or b"")
+    except MessageError:
+        return
+    if isinstance(message, Refused):
+        yield message
+
+
+def _faults_apply(name: str) -> bool:
+    try:
+        return topics.topic(name).faults
+    except MessageError:
+        return False

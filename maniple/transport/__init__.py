@@ -1,0 +1,1 @@
+"""Bytes in, bytes out: the in-process network, Zenoh, and the faults put between."""

@@ -1,0 +1,1 @@
+"""The process on every robot: dead reckoning, range sensing, the guard, the driver."""

@@ -1,0 +1,75 @@
+"""The modes of a robot's agent, as a literal table."""
+
+from collections.abc import Mapping
+from typing import Literal, TypeAlias
+
+from maniple.core.messages import Mode
+
+Event: TypeAlias = Literal[
+    "driver_lost", "driver_ready", "driver_active", "blind", "fresh", "aging", "old", "stop"
+]
+"""What a tick finds of the driver: silent, faulty or not controllable; there but not active; active. If it
+is active: no ranges known where they are needed. What it finds of the command, if it sees: young enough; old
+enough to slow down; too old to move. And the end of the agent."""
+
+TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
+    ("waiting", "driver_lost"): "waiting",
+    ("waiting", "driver_ready"): "waiting",
+    ("waiting", "driver_active"): "waiting",
+    ("waiting", "blind"): "waiting",
+    ("waiting", "fresh"): "tracking",
+    ("waiting", "aging"): "holding",
+    ("waiting", "old"): "waiting",
+    ("waiting", "stop"): "stopped",
+    ("tracking", "driver_lost"): "fault",
+    ("tracking", "driver_ready"): "waiting",
+    ("tracking", "driver_active"): "tracking",
+    ("tracking", "blind"): "holding",
+    ("tracking", "fresh"): "tracking",
+    ("tracking", "aging"): "holding",
+    ("tracking", "old"): "holding",
+    ("tracking", "stop"): "stopped",
+    ("holding", "driver_lost"): "fault",
+    ("holding", "driver_ready"): "waiting",
+    ("holding", "driver_active"): "holding",
+    ("holding", "blind"): "holding",
+    ("holding", "fresh"): "tracking",
+    ("holding", "aging"): "holding",
+    ("holding", "old"): "holding",
+    ("holding", "stop"): "stopped",
+    ("stopped", "driver_lost"): "stopped",
+    ("stopped", "driver_ready"): "stopped",
+    ("stopped", "driver_active"): "stopped",
+    ("stopped", "blind"): "stopped",
+    ("stopped", "fresh"): "stopped",
+    ("stopped", "aging"): "stopped",
+    ("stopped", "old"): "stopped",
+    ("stopped", "stop"): "stopped",
+    ("fault", "driver_lost"): "fault",
+    ("fault", "driver_ready"): "waiting",
+    ("fault", "driver_active"): "waiting",
+    ("fault", "blind"): "fault",
+    ("fault", "fresh"): "fault",
+    ("fault", "aging"): "fault",
+    ("fault", "old"): "fault",
+    ("fault", "stop"): "stopped",
+}
+"""The mode after an event, for every mode and event."""
+
+MOVES: Mapping[Mode, bool] = {
+    "waiting": False,
+    "tracking": True,
+    "holding": True,
+    "stopped": False,
+    "fault": False,
+}
+"""Whether the drive gets anything but zero. (A holding robot slows down and stands by its guard.)"""
+
+WANTS_DRIVER: Mapping[Mode, bool] = {
+    "waiting": True,
+    "tracking": True,
+    "holding": True,
+    "stopped": False,
+    "fault": False,
+}
+"""Whether the driver is asked to be active."""

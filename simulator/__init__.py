@@ -1,0 +1,1 @@
+"""The process that stands for the physical world."""

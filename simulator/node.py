@@ -1,0 +1,148 @@
+"""The simulator as a node: orders to drives in; encoder counts, scans and ground truth out."""
+
+from collections.abc import Mapping, Sequence
+from typing import TypedDict
+
+import numpy as np
+
+from maniple.core import topics
+from maniple.core.geometry import Floats, Pose
+from maniple.core.messages import Drive, Motion, Scan, Truth, pack_floats
+from maniple.core.node import Outgoing, Received
+from maniple.core.scenario.types import RangeFinder, Scenario
+from maniple.core.time import Duration, Time, period
+from simulator.noise import RangeNoise
+from simulator.physics import Physics
+from simulator.range_finder import Fan, sweep
+from simulator.world import Complexes, Scene, outlines
+
+
+class Simulator:
+    """Stands for the physical world of a resolved scenario.
+
+    Raises:
+        ScenarioError: a model's theta is no stable drive.
+    """
+
+    name = "simulator"
+
+    def __init__(self, scenario: Scenario) -> None:
+        rates = scenario.rates
+        self.timers: Mapping[str, Duration] = {
+            "motion": period(rates.motion_hz),
+            "scan": period(rates.scan_hz),
+            "truth": period(rates.truth_hz),
+        }
+        self._robots = tuple(robot.id for robot in scenario.robots)
+        self._index = {topics.drive(robot): i for i, robot in enumerate(self._robots)}
+        self.subscriptions = frozenset(self._index)
+        self._motion_topics = tuple(topics.motion(robot) for robot in self._robots)
+        self._physics = Physics(scenario)
+        models = [scenario.model_of(robot) for robot in scenario.robots]
+        self._scene = Scene(scenario.world.obstacles, outlines(models))
+        sensors = sorted({robot.sensor for robot in scenario.robots})
+        self._banks = tuple(_SensorBank(scenario, sensor) for sensor in sensors)
+
+    def on_start(self, now: Time) -> Sequence[Outgoing]:
+        """The physical world begins at `now`."""
+        self._physics.start(now)
+        return ()
+
+    def on_message(self, message: Received, now: Time) -> Sequence[Outgoing]:
+        """Pass an order to a drive."""
+        order = message.message
+        if isinstance(order, Drive):
+            self._physics.command(self._index[message.topic], order, now)
+        return ()
+
+    def on_timer(self, timer: str, now: Time) -> Sequence[Outgoing]:
+        """Read the encoders, sweep the range finders, or tell the truth."""
+        self._physics.advance(now)
+        if timer == "motion":
+            return self._motions()
+        return self._scans() if timer == "scan" else (self._truth(),)
+
+    def on_stop(self, now: Time) -> Sequence[Outgoing]:
+        """The truth to the end."""
+        self._physics.advance(now)
+        return (self._truth(),)
+
+    def _motions(self) -> list[Outgoing]:
+        physics = self._physics
+        return [
+            Outgoing(topic, Motion(ticks=ticks, applied=applied, state=state, controllable=True))
+            for topic, ticks, (applied, state) in zip(
+                self._motion_topics, physics.ticks(), physics.drives(), strict=True
+            )
+        ]
+
+    def _scans(self) -> list[Outgoing]:
+        position, heading = self._physics.position(), self._physics.heading()
+        self._scene.place(position, heading)
+        scans = [scan for bank in self._banks for scan in bank.scans(position, heading, self._scene)]
+        if len(self._banks) > 1:
+            scans.sort(key=lambda scan: scan[0])
+        return [outgoing for _, outgoing in scans]
+
+    def _truth(self) -> Outgoing:
+        clearances, collisions, contacts = self._physics.contacts()
+        truth = Truth(
+            robots=self._robots,
+            poses=pack_floats(self._physics.poses()),
+            velocities=pack_floats(self._physics.velocities()),
+            clearances=pack_floats(clearances),
+            collisions=collisions,
+            contacts=contacts,
+        )
+        return Outgoing(topics.TRUTH, truth)
+
+
+class ScanHeader(TypedDict):
+    """The fields of a `Scan` that never change."""
+
+    first_angle_rad: float
+    increment_rad: float
+    range_min_m: float
+    range_max_m: float
+    mount: tuple[float, float, float]
+
+
+class _SensorBank:
+    """The range finders of one type."""
+
+    def __init__(self, scenario: Scenario, sensor: str) -> None:
+        kind = scenario.sensors[sensor]
+        carriers = [(i, robot) for i, robot in enumerate(scenario.robots) if robot.sensor == sensor]
+        mounts = [Pose(*scenario.model_of(robot).sensor_mount) for _, robot in carriers]
+        self._rows = np.array([i for i, _ in carriers])
+        self._fan = Fan(kind)
+        self._noise = RangeNoise(scenario.seed, [robot.id for _, robot in carriers], kind)
+        self._offset = np.array([complex(mount.x, mount.y) for mount in mounts])
+        self._turn = np.array([mount.psi for mount in mounts])
+        self._topics = tuple(topics.scan(robot.id) for _, robot in carriers)
+        self._headers = tuple(_header(kind, mount) for mount in mounts)
+
+    def scans(self, position: Complexes, heading: Floats, scene: Scene) -> list[tuple[int, Outgoing]]:
+        """One sweep of each, from robots at `position` (m) and `heading` (rad), shape (n,), with the index
+        of the robot."""
+        heading = heading[self._rows]
+        origin = position[self._rows] + self._offset * np.exp(1j * heading)
+        ranges = sweep(self._fan, origin, heading + self._turn, self._rows, scene)
+        readings = self._noise.apply(ranges).astype("<f4")
+        return [
+            (row, Outgoing(topic, Scan(ranges=reading.tobytes(), **header)))
+            for row, topic, header, reading in zip(
+                self._rows.tolist(), self._topics, self._headers, readings, strict=True
+            )
+        ]
+
+
+def _header(kind: RangeFinder, mount: Pose) -> ScanHeader:
+    """The limits are what float32 makes of them, so that "nothing seen" equals `range_max_m` exactly."""
+    return ScanHeader(
+        first_angle_rad=kind.first_angle_rad,
+        increment_rad=kind.increment_rad,
+        range_min_m=kind.range_min_m,
+        range_max_m=float(np.float32(kind.range_max_m)),
+        mount=(mount.x, mount.y, mount.psi),
+    )

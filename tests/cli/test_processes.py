@@ -1,0 +1,178 @@
+"""The table of processes, and real children of the supervisor."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from maniple.cli.loading import completed
+from maniple.cli.processes import Child, Process, finish_all, stop_order, table
+from maniple.core.errors import RunError
+from tests.cli.scenes import ROOT, platoon
+from tests.waiting import eventually, runs
+
+SCENARIO = b'{"name": "x"}'
+READ_LINE = "import sys; line = sys.stdin.readline()\n"
+
+
+@contextmanager
+def child(code: str, scenario: bytes = SCENARIO) -> Iterator[Child]:
+    """A child that runs some Python in place of `maniple`."""
+    made = Child(Process("x", (code,)), scenario, program=(sys.executable, "-c"))
+    try:
+        yield made
+    finally:
+        made.finish(time.monotonic())
+
+
+def test_the_table_lists_a_process_for_each_node() -> None:
+    scenario = completed(platoon(4))
+    stages = table(scenario, "tcp/127.0.0.1:7", "1:2:3.0", "a.mcap")
+    assert [[process.name for process in stage] for stage in stages] == [
+        ["router"],
+        ["recorder"],
+        ["simulator", "r1", "r2", "r3", "r4", "controller"],
+    ]
+    for process in (p for stage in stages for p in stage):
+        assert process.arguments[0] == (
+            "agent" if process.name.startswith("r") and process.name[1:].isdigit() else process.name
+        )
+        assert "tcp/127.0.0.1:7" in process.arguments
+    assert stages[2][1].arguments[:2] == ("agent", "r1")
+
+
+def test_everybody_is_stopped_once_the_recorder_after_all_it_records() -> None:
+    scenario = completed(platoon(4))
+    order = [name for names in stop_order(scenario) for name in names]
+    started = [p.name for stage in table(scenario, "c", "a", "l") for p in stage]
+    assert sorted(order) == sorted(started)
+    assert order[-2:] == ["recorder", "router"]
+    assert order.index("controller") < order.index("r1") < order.index("simulator")
+
+
+def test_a_child_is_given_the_scenario_and_is_heard() -> None:
+    with child(READ_LINE + "print(line, flush=True); sys.stdin.read()") as made:
+        assert made.alive
+        assert made.spoke(30.0)
+        assert "still runs" in made.epitaph()
+
+
+def test_a_child_that_says_nothing_is_not_waited_for_longer_than_asked() -> None:
+    with child("import sys; sys.stdin.read()") as made:
+        assert not made.spoke(0.01)
+
+
+def test_a_scenario_larger_than_a_pipe_does_not_block() -> None:
+    size = 3_000_000
+    code = READ_LINE + "print(len(line), file=sys.stderr); sys.exit(len(line) % 256)"
+    with child(code, b"x" * size) as made:
+        eventually(lambda: not made.alive)
+        assert str(size + 1) in made.epitaph()
+
+
+def test_last_words_of_one_that_fails() -> None:
+    with child("import sys; print('one'); print('two\\nthree', file=sys.stderr); sys.exit(3)") as made:
+        eventually(lambda: not made.alive)
+        assert (
+            made.epitaph() == f"x (process {made.pid}) ended with status 3; its last words:\n  two\n  three"
+        )
+
+
+def test_only_the_last_of_many_words_are_kept() -> None:
+    with child("import sys\nfor i in range(1000): print('word', i, file=sys.stderr)") as made:
+        eventually(lambda: not made.alive)
+        words = made.epitaph().splitlines()[1:]
+    assert words == [f"  word {i}" for i in range(980, 1000)]
+
+
+def test_words_need_not_be_text() -> None:
+    with child("import sys; sys.stderr.buffer.write(b'\\xff\\xfe!')") as made:
+        eventually(lambda: not made.alive)
+        assert made.epitaph().endswith("!")
+
+
+def test_one_that_was_killed_says_by_what() -> None:
+    with child("import sys; sys.stdin.read()") as made:
+        os.kill(made.pid, signal.SIGKILL)
+        eventually(lambda: not made.alive)
+        assert made.epitaph() == f"x (process {made.pid}) was killed by SIGKILL"
+
+
+def test_its_input_ends_when_it_is_let_go() -> None:
+    """What tells an orphan that its supervisor is gone."""
+    code = READ_LINE + "print(1, flush=True); sys.stdin.read(); sys.exit(7)"
+    supervisor = f"""
+import os, signal, sys
+from maniple.cli.processes import Child, Process
+child = Child(Process("x", ({code!r},)), b"", program=(sys.executable, "-c"))
+child.spoke(30.0)
+print(child.pid, flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    killed = subprocess.run([sys.executable, "-c", supervisor], stdout=subprocess.PIPE, cwd=ROOT, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    pid = int(killed.stdout)
+    eventually(lambda: not runs(pid))
+
+
+def test_a_willing_child_ends_by_itself() -> None:
+    code = """
+import signal, sys, time
+signal.signal(signal.SIGINT, lambda *_: sys.exit(5))
+print(1, flush=True)
+while True: time.sleep(60)
+"""
+    with child(code) as made:
+        assert made.spoke(30.0)
+        finish_all([made], time.monotonic() + 30)
+        assert "ended with status 5" in made.epitaph()
+
+
+def test_one_that_does_not_listen_is_ended_by_force_and_keeps_nobody_waiting() -> None:
+    deaf = """
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+print(1, flush=True)
+while True: time.sleep(60)
+"""
+    willing = deaf.replace("signal.SIG_IGN", "lambda *_: sys.exit(5)")
+    with child(deaf) as first, child(willing) as second:
+        assert first.spoke(30.0)
+        assert second.spoke(30.0)
+        begin = time.monotonic()
+        finish_all([first, second], begin + 1.0)
+        assert 0.9 < time.monotonic() - begin < 20.0
+        assert "killed by SIGKILL" in first.epitaph()
+        assert "ended with status 5" in second.epitaph()
+
+
+def test_one_that_is_frozen_is_thawed_to_finish() -> None:
+    code = """
+import signal, sys, time
+signal.signal(signal.SIGINT, lambda *_: sys.exit(5))
+print(1, flush=True)
+while True: time.sleep(60)
+"""
+    with child(code) as made:
+        assert made.spoke(30.0)
+        os.kill(made.pid, signal.SIGSTOP)
+        finish_all([made], time.monotonic() + 30)
+        assert "ended with status 5" in made.epitaph()
+
+
+def test_finishing_the_dead_is_fine() -> None:
+    with child("pass") as made:
+        eventually(lambda: not made.alive)
+        finish_all([made], time.monotonic() + 30)
+        made.finish(time.monotonic())
+        assert "ended with status 0" in made.epitaph()
+
+
+def test_no_program_to_start() -> None:
+    with pytest.raises(RunError, match="x could not be started: No such file"):
+        Child(Process("x", ()), SCENARIO, program=("/nowhere/python",))

@@ -1,0 +1,208 @@
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from maniple.cli import scenario_docs
+from maniple.cli.draw import draw, save
+from maniple.cli.loading import load, loads
+from maniple.cli.scenario_commands import app
+from maniple.core.errors import ManipleError, MissingExtraError, ScenarioError
+from maniple.core.scenario.types import Scenario
+
+ROOT = Path(__file__).parents[2]
+PAPER = ROOT / "scenarios" / "paper-simulation-1.toml"
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def checked(*arguments: str) -> Any:
+    result = run("check", PAPER, "--json", *arguments)
+    assert result.exit_code == 0
+    return json.loads(result.stdout)
+
+
+def test_check_says_what_would_run() -> None:
+    plan = checked("--seed", "4")
+    scenario = load(PAPER)
+    assert plan["valid"] is True
+    assert plan["seed"] == 4
+    assert [robot["id"] for robot in plan["robots"]] == [robot.id for robot in scenario.robots]
+    assert plan["robots"][0]["pose"] == pytest.approx(scenario.robots[0].pose)
+    assert [tuple(one["robots"]) for one in plan["triangles"]] == [
+        ("r1", "r2", "r3"),
+        ("r2", "r3", "r4"),
+        ("r3", "r4", "r5"),
+        ("r4", "r5", "r6"),
+    ]
+    way = np.hypot(*np.subtract(scenario.task.end, scenario.task.start))
+    assert plan["duration_s"] == pytest.approx(way / scenario.task.speed_mps + scenario.task.settle_s)
+    for robot in plan["robots"]:
+        assert 0 < robot["hold_after_s"] <= robot["stop_after_s"]
+    assert plan["links"] == []
+
+
+def test_check_says_what_the_network_does_to_each_link() -> None:
+    plan = checked("--set", "faults=[{loss=0.5, latency_s=0.1}, {source='r1', loss=0.2, jitter_s=0.01}]")
+    links = {(one["source"], one["topic"]): one for one in plan["links"]}
+    assert links["r2", "robot/r2/odometry"]["loss"] == 0.5
+    assert links["r1", "robot/r1/odometry"]["loss"] == pytest.approx(0.6)
+    assert links["r1", "robot/r1/odometry"]["jitter_s"] == 0.01
+    assert links["controller", "robot/r1/command"] == {
+        "source": "controller",
+        "destination": "r1",
+        "topic": "robot/r1/command",
+        "latency_s": 0.1,
+        "jitter_s": 0.0,
+        "loss": 0.5,
+    }
+    assert ("r1", "robot/r1/ranges") in links, "the avoidance runs in the centre"
+    onboard = checked("--set", "faults=[{}]", "--set", "placement.robot_from=kinematics")
+    assert not any(one["topic"].endswith("ranges") for one in onboard["links"])
+
+
+def test_check_for_people() -> None:
+    result = run("check", PAPER, "--set", "faults=[{loss=0.3, latency_s=0.1, jitter_s=0.05}]")
+    assert result.exit_code == 0
+    assert "6 robots, 4 triangles, 5 obstacles" in result.stdout
+    assert re.search(r"r2 r3 r4 +\d\.\d+ +\d\.\d+", result.stdout)
+    assert re.search(r"odometry from +r1 r2 r3 r4 r5 r6 +100 +50 +30\.0", result.stdout)
+    assert "…" not in result.stdout
+
+
+def test_check_refuses_what_is_not_valid() -> None:
+    result = run("check", PAPER, "--set", "robots.1.id=r1")
+    assert isinstance(result.exception, ScenarioError)
+    assert "robots[1].id = 'r1'" in str(result.exception)
+
+
+# -- pictures
+
+
+@pytest.mark.parametrize(("suffix", "start"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")])
+def test_draw_writes_the_format_of_the_suffix(tmp_path: Path, suffix: str, start: bytes) -> None:
+    first, second = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
+    for path in (first, second):
+        result = run("draw", PAPER, "--out", path)
+        assert result.exit_code == 0
+        assert str(path) in result.stdout
+    assert first.read_bytes().startswith(start)
+    assert first.read_bytes() == second.read_bytes(), "the same scenario makes the same file"
+
+
+def test_draw_names_its_picture_after_the_scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = run("draw", PAPER, "--json")
+    assert json.loads(result.stdout) == {
+        "scenario": "paper-simulation-1",
+        "picture": "paper-simulation-1.png",
+    }
+    pixels = matplotlib.image.imread(tmp_path / "paper-simulation-1.png")
+    assert pixels.shape[1] > 1000
+    assert pixels[..., :3].std() > 0.05, "something is drawn"
+
+
+def test_draw_refuses_other_formats_and_places(tmp_path: Path) -> None:
+    scenario = load(PAPER)
+    with pytest.raises(ManipleError, match=r"must end in one of \.png, \.svg, \.pdf"):
+        save(scenario, tmp_path / "a.gif")
+    with pytest.raises(ManipleError, match="can't be written: No such file or directory"):
+        save(scenario, tmp_path / "no" / "a.png")
+
+
+def odd() -> Scenario:
+    """Many robots with long names, turned, scattered, among obstacles of every kind."""
+    points = [[-(k // 2) * 1.4 - (k % 2) * 0.7, (-1.0) ** k] for k in range(12)]
+    lines = [
+        'name = "odd"',
+        'task = { kind = "line", start = [0, 0], end = [4, 7], speed_mps = 0.1 }',
+        "start = { scatter_m = 0.3, scatter_rad = 0.6 }",
+        f"formation.points = {points}",
+        "robots = [" + ", ".join(f'{{ id = "robot-{k}" }}' for k in range(12)) + "]",
+        "[[world.obstacles]]\nkind = 'wall'\nstart = [-3, 8]\nend = [6, 10]",
+        "[[world.obstacles]]\nkind = 'box'\ncentre = [4, 1]\nsize = [2, 1]\nangle_rad = 0.5",
+        "[[world.obstacles]]\nkind = 'polygon'\npoints = [[-4, 3], [-2, 3], [-2, 5], [-3, 4], [-4, 5]]",
+        "[[world.obstacles]]\nkind = 'circle'\ncentre = [-3, 1.5]\nradius_m = 0.3",
+    ]
+    return loads("\n".join(lines).encode())
+
+
+@pytest.mark.parametrize("scenario", [odd(), load(PAPER)], ids=lambda scenario: scenario.name)
+def test_everything_is_inside_the_frame_at_true_scale(scenario: Scenario) -> None:
+    figure = draw(scenario)
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    assert axes.get_aspect() == 1.0
+    frame = axes.get_window_extent()
+    for thing in (*axes.patches, *axes.lines, *axes.texts):
+        box = thing.get_window_extent()
+        assert frame.x0 - 1 <= box.x0, thing
+        assert box.x1 <= frame.x1 + 1, thing
+        assert frame.y0 - 1 <= box.y0, thing
+        assert box.y1 <= frame.y1 + 1, thing
+    names = [text.get_text() for text in axes.texts]
+    assert {robot.id for robot in scenario.robots} <= set(names)
+    for text in (axes.xaxis.label, axes.yaxis.label, axes.title, *figure.legends):
+        box = text.get_window_extent()
+        assert figure.bbox.x0 <= box.x0
+        assert box.x1 <= figure.bbox.x1
+        assert figure.bbox.y0 <= box.y0
+        assert box.y1 <= figure.bbox.y1
+
+
+# -- documents
+
+
+def test_the_page_is_what_the_types_say() -> None:
+    page = (ROOT / "docs" / "scenario.md").read_text(encoding="utf-8")
+    assert page == scenario_docs.markdown(), "run: maniple scenario docs > docs/scenario.md"
+    assert run("docs").stdout == page
+
+
+def test_the_minimal_example_of_the_page_is_valid() -> None:
+    (example,) = re.findall(r"```toml\n(.*?)```", scenario_docs.markdown(), flags=re.DOTALL)
+    assert len(loads(example.encode()).robots) == 3
+
+
+def test_the_overrides_of_the_page_work() -> None:
+    shown = re.findall(r"--set ('[^']+'|\S+)", scenario_docs.markdown())
+    overrides = [text.strip("'") for text in shown if "KEY" not in text and "=" in text]
+    assert len(overrides) >= 4
+    load(PAPER, overrides)
+
+
+def test_every_field_is_documented() -> None:
+    page = scenario_docs.markdown()
+    for name, said in scenario_docs.field_texts().items():
+        for field, text in said.items():
+            assert f"`{field}`" in page, f"{name}.{field}"
+            assert text.replace("|", "\\|") in page
+
+
+def test_the_schema_accepts_what_is_valid_and_describes_every_field() -> None:
+    document = json.loads(run("schema").stdout)
+    assert document["$schema"].endswith("2020-12/schema")
+    for name, definition in document["$defs"].items():
+        assert definition["additionalProperties"] is False
+        for field, entry in definition["properties"].items():
+            assert field == "kind" or entry["description"], f"{name}.{field}"
+    assert document["$defs"]["Robot"]["properties"]["control_point_m"]["exclusiveMinimum"] == 0
+
+
+def test_help_is_there() -> None:
+    for command in ("check", "draw", "schema"):
+        assert run(command, "--help").exit_code == 0
+
+
+def test_without_matplotlib_draw_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'maniple\[report\]'"):
+        save(load(PAPER), tmp_path / "a.png")

@@ -1,0 +1,249 @@
+import math
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+from maniple.core.errors import ScenarioError
+from maniple.core.scenario.check import problems, require_valid
+from maniple.core.scenario.parse import scenario_of, with_overrides
+from maniple.core.scenario.resolve import resolve
+from maniple.core.scenario.types import Scenario
+
+Data = dict[str, Any]
+SIX = [{"id": f"r{k}", "model": "cart", "sensor": "eye"} for k in range(1, 7)]
+
+
+def checked(data: Data, *overrides: str) -> list[str]:
+    return problems(resolve(scenario_of(with_overrides(data, overrides)), {}, {}))
+
+
+def test_a_sound_scenario_has_no_problems(data: Data) -> None:
+    assert checked(data) == []
+    require_valid(resolve(scenario_of(data), {}, {}))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["robots.1.id=r1"], "robots[1].id = 'r1': robots[0] has it already; must be unique"),
+        (
+            ["robots.1.id=controller"],
+            "robots[1].id = 'controller': names a node; must be none of controller, ",
+        ),
+        (["robots.1.id=router"], "robots[1].id = 'router': names a node"),
+        (
+            ["robots.1.pose=[0.6, 0.3, 0]"],
+            "robots[1].pose = [0.6, 0.3, 0.0]: r2 touches r1 (robots[0], pose ",
+        ),
+        (["task.end=[0,0]"], "task.end = [0.0, 0.0]: is where task.start is"),
+        (["task.speed_mps=0.75"], "task.speed_mps = 0.75: too fast for robots[0] (r1); must be < 0.75"),
+        (["avoidance.d_min_m=0.95"], "avoidance.d_min_m = 0.95: must be < d_max_m = 0.95"),
+        (["controller.kappa=0"], "controller.kappa = 0.0: must be >= 1e-06 and <= 1000"),
+        (["controller.kappa=-0.1"], "controller.kappa = -0.1: must be >= 1e-06 and <= 1000"),
+        (["controller.saturation=0"], "controller.saturation = 0.0: must be >= 1e-06 and <= 1000"),
+        (["controller.kappa=1e300"], "controller.kappa = 1e+300: must be >= 1e-06 and <= 1000"),
+        (
+            ["controller.saturation=[1,1,1,1,5e-324,1]"],
+            "controller.saturation[4] = 5e-324: must be >= 1e-06 and <= 1000",
+        ),
+        (
+            ["task.speed_mps=1e-300"],
+            "task.speed_mps = 1e-300: the line takes 3e+300 s; must be <= 1e+06 s",
+        ),
+        (
+            ["guard.hold_after_s=2", "guard.stop_after_s=2"],
+            "guard.hold_after_s = 2.0: must be < stop_after_s = 2.0",
+        ),
+        (["sensors.eye.range_min_m=8"], "sensors.eye.range_min_m = 8.0: must be < range_max_m = 8.0"),
+        (["sensors.eye.increment_rad=0.04"], "must be <= 0.0349066 (360 degrees)"),
+        (["models.cart.theta.0=0"], "models.cart.theta[0] = 0.0: must be > 0"),
+        (["models.cart.theta.5=-1"], "models.cart.theta[5] = -1.0: must be > 0"),
+        (
+            ["models.cart.drive_timeout_s=0.05"],
+            "drive_timeout_s = 0.05: the drive would brake between commands",
+        ),
+        (["rates.physics_hz=15"], "rates.motion_hz = 20.0: must be <= physics_hz = 15.0"),
+        (["rates.scan_hz=101"], "rates.scan_hz = 101.0: must be <= physics_hz = 100.0"),
+        (["rates.truth_hz=200"], "rates.truth_hz = 200.0: must be <= physics_hz = 100.0"),
+        (
+            ["faults=[{source='r9'}]"],
+            "faults[0].source = 'r9': matches nothing; valid: controller, r1, r2, r3",
+        ),
+        (["faults=[{destination='sim*'}]"], "faults[0].destination = 'sim*': matches nothing"),
+        (
+            ["faults=[{topic='robot/*/odo'}]"],
+            "faults[0].topic = 'robot/*/odo': matches nothing; valid: robot/r1/",
+        ),
+        (["faults=[{topic='hw/*'}]"], "faults[0].topic = 'hw/*': matches nothing"),
+        (["task.end=[20000,0]"], "task.end = [20000.0, 0.0]: must be within 10000 m"),
+        (
+            ["world.obstacles=[{kind='circle', centre=[1e300,0], radius_m=1}]"],
+            "world.obstacles[0] (circle): reaches to [1e+300, -1.0]; must be within 10000 m",
+        ),
+        (
+            ["world.obstacles=[{kind='box', centre=[9000,0], size=[3000,1]}]"],
+            "world.obstacles[0] (box): reaches to [10500.0, 0.5]; must be within 10000 m",
+        ),
+        (
+            [
+                "world.obstacles=[{kind='wall', start=[9,9], end=[9,-1e4]}]",
+                "world.obstacles.1={kind='wall', start=[9,9], end=[9,-2e4]}",
+            ],
+            "world.obstacles[1] (wall): reaches to [9.0, -20000.0]; must be within 10000 m",
+        ),
+        (["formation.points.0=[1e5,0]"], "formation.points[0] = [100000.0, 0.0]: must be within 10000 m"),
+    ],
+)
+def test_what_makes_no_sense(data: Data, overrides: list[str], message: str) -> None:
+    found = checked(data, *overrides)
+    assert any(message in line for line in found), found
+
+
+def test_fewer_than_three_robots(data: Data) -> None:
+    data["robots"].pop()
+    data["formation"]["points"].pop()
+    assert checked(data) == ["robots: there are 2; must be at least 3, for one triangle"]
+
+
+def test_the_number_of_places(data: Data) -> None:
+    for robot in data["robots"]:
+        robot["pose"] = [len(robot["id"]), 0, 0]
+    data["formation"]["points"].append([3, 3])
+    assert checked(data) == ["formation.points: has 4 points; must be 3, one for each robot"]
+
+
+def test_an_unresolved_scenario_is_refused(data: Data) -> None:
+    found = problems(replace(scenario_of(data), models={}, sensors={}))
+    assert "robots[0].model = 'cart': must be one of (none are defined)" in found
+    assert "robots[0].sensor = 'eye': must be one of (none are defined)" in found
+    assert "robots[2].pose: missing; must be [x, y, heading] in a resolved scenario" in found
+
+
+# -- triangles
+
+
+@pytest.mark.parametrize(
+    ("points", "angle", "what"),
+    [
+        ([[0, 0], [0, 0.001], [2, 0]], "signed", "r1 and r2 are at the same place"),
+        ([[0, 0], [2, 0], [0.001, 0]], "signed", "r1 and r3 are at the same place"),
+        ([[0, 0], [2, 0], [-2, 0.001]], "signed", "r1 is midway between r2 and r3"),
+        ([[0, 0], [2, 0], [-2, 0.001]], "unsigned", "r1 is midway between r2 and r3"),
+        ([[0, 0], [2, 0], [4, 0.001]], "unsigned", "all three are in a line"),
+    ],
+)
+def test_singular_triangles(data: Data, points: list[list[float]], angle: str, what: str) -> None:
+    data["formation"]["points"] = points
+    data["controller"] = {"angle": angle}
+    spread = [{**robot, "pose": [3.0 * k, 5, 0]} for k, robot in enumerate(data["robots"])]
+    found = checked({**data, "robots": spread})
+    assert len(found) == 1
+    assert found[0].startswith(f"formation.points[0:3]: the desired triangle r1, r2, r3 is singular: {what}")
+
+
+def test_a_line_of_robots_is_singular_only_for_the_unsigned_angle(data: Data) -> None:
+    data["formation"]["points"] = [[0, 0], [1, 0], [2, 0]]
+    assert checked(data) == []
+    assert len(checked(data, "controller.angle=unsigned")) == 1
+
+
+def test_every_triangle_of_the_chain_is_looked_at(data: Data) -> None:
+    data["robots"] = SIX
+    data["formation"]["points"] = [[0, 0], [1, 1], [2, 0], [3, 1], [4, 0], [2, 2]]
+    found = checked(data)
+    assert [line.split(":")[0] + ":" + line.split(":")[1] for line in found] == ["formation.points[3:6]"]
+
+
+# -- bodies and obstacles
+
+
+def test_bodies_are_rectangles_not_discs(data: Data) -> None:
+    """Side by side, 0.41 m apart: the circles around them overlap, the bodies (0.5 x 0.4 m) do not."""
+    beside = [f"robots.{k}.pose=[0, {0.41 * k}, 0]" for k in range(3)]
+    assert checked(data, *beside) == []
+    turned = [f"robots.{k}.pose=[0, {0.41 * k}, {math.pi / 2}]" for k in range(3)]
+    assert len(checked(data, *turned)) == 2
+
+
+def test_touching_is_overlapping(data: Data) -> None:
+    assert len(checked(data, "robots.0.pose=[5, 0, 0]", "robots.1.pose=[5.5, 0, 0]")) == 1
+    assert checked(data, "robots.0.pose=[5, 0, 0]", "robots.1.pose=[5.51, 0, 0]") == []
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "kind"),
+    [
+        ("{kind='circle', centre=[5.3, 0], radius_m=0.1}", "circle"),
+        ("{kind='circle', centre=[5, 0], radius_m=9}", "circle"),
+        ("{kind='box', centre=[5.45, 0], size=[0.3, 0.3], angle_rad=0.785}", "box"),
+        ("{kind='wall', start=[4, 0.15], end=[6, 0.15]}", "wall"),
+        ("{kind='wall', start=[4.9, 0], end=[5.1, 0]}", "wall"),
+        (
+            "{kind='polygon', points=[[4,-1],[6,-1],[6,1],[5.2,1],[5.2,-0.1],[4.8,-0.1],[4.8,1],[4,1]]}",
+            "polygon",
+        ),
+    ],
+)
+def test_robots_inside_or_touching_obstacles(data: Data, obstacle: str, kind: str) -> None:
+    found = checked(data, "robots.1.pose=[5, 0, 0]", f"world.obstacles=[{obstacle}]")
+    touching = f"robots[1].pose = [5.0, 0.0, 0.0]: r2 touches world.obstacles[0] ({kind}) at the start"
+    assert f"{touching}; must be clear of it" in found
+
+
+def test_robots_beside_obstacles(data: Data) -> None:
+    beside = (
+        "[{kind='circle', centre=[5.6, 0], radius_m=0.3}, {kind='wall', start=[4, 0.25], end=[6, 0.25]}, "
+        "{kind='polygon', points=[[4,-1],[6,-1],[6,-0.3],[4,-0.3]]}]"
+    )
+    assert checked(data, "robots.1.pose=[5, 0, 0]", f"world.obstacles={beside}") == []
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "message"),
+    [
+        ("{kind='wall', start=[9, 9], end=[9, 9]}", "world.obstacles[0].end = [9.0, 9.0]: is its start"),
+        (
+            "{kind='polygon', points=[[9,9],[10,10],[10,9],[9,10]]}",
+            "world.obstacles[0].points: edges 0 and 2 meet",
+        ),
+        (
+            "{kind='polygon', points=[[9,9],[10,9],[10,9.0000000001]]}",
+            "world.obstacles[0].points: enclose no area",
+        ),
+        ("{kind='polygon', points=[[9,9],[9,9],[10,9]]}", "world.obstacles[0].points: edge 0 has no length"),
+        ("{kind='polygon', points=[[8,8],[9,9],[10,10]]}", "world.obstacles[0].points: edges 0 and 2 meet"),
+    ],
+)
+def test_obstacles_that_are_none(data: Data, obstacle: str, message: str) -> None:
+    found = checked(data, f"world.obstacles=[{obstacle}]")
+    assert len(found) == 1
+    assert found[0].startswith(message)
+
+
+# -- numbers
+
+
+def test_scenarios_from_python_may_not_hold_other_numbers(data: Data) -> None:
+    scenario: Scenario = resolve(scenario_of(data), {}, {})
+    for bad in (math.nan, math.inf):
+        broken = replace(scenario, guard=replace(scenario.guard, margin_m=bad))
+        assert problems(broken) == [f"guard.margin_m = {bad}: must be a finite number >= 0"]
+        with pytest.raises(ScenarioError, match=r"guard\.margin_m"):
+            require_valid(broken)
+
+
+def test_every_problem_has_a_line(data: Data) -> None:
+    scenario = resolve(
+        scenario_of(with_overrides(data, ["controller.kappa=0", "avoidance.d_min_m=3"])), {}, {}
+    )
+    with pytest.raises(ScenarioError) as caught:
+        require_valid(scenario)
+    assert len(str(caught.value).splitlines()) == 2
+
+
+def test_a_full_turn_of_beams_is_allowed(data: Data) -> None:
+    data["sensors"]["eye"] |= {"beams": 361, "increment_rad": math.pi / 180}
+    assert checked(data) == []
+    data["sensors"]["eye"]["beams"] = 362
+    assert "362 beams make a fan of 361 degrees" in checked(data)[0]

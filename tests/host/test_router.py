@@ -1,0 +1,64 @@
+"""What a router keeps."""
+
+import msgspec
+import pytest
+
+from maniple.core import codec
+from maniple.core.errors import TransportError
+from maniple.host.router import LatchedStore, Lives, RouterHost, next_incarnation
+from maniple.transport.zenoh import ZenohSession
+from tests.host.nodes import odometry
+from tests.transport.test_zenoh import DEADLINE_S, free_port
+
+TOPIC = "robot/r1/odometry"
+
+
+def message(seq: int, incarnation: int = 1, source: str = "r1") -> bytes:
+    made = odometry("r1")
+    return codec.encode(msgspec.structs.replace(made, source=source, incarnation=incarnation, seq=seq))
+
+
+def test_the_newest_message_is_kept() -> None:
+    store = LatchedStore()
+    assert store.answer(TOPIC) == {}
+    for data in (message(1), message(3), message(2), b"garbage", message(9, source="r2")):
+        store.keep(TOPIC, data)
+    assert store.answer(TOPIC) == {TOPIC: message(3)}
+
+
+def test_a_newer_life_replaces_an_older_one() -> None:
+    store = LatchedStore()
+    for data in (message(70, incarnation=1), message(0, incarnation=2), message(71, incarnation=1)):
+        store.keep(TOPIC, data)
+    assert store.answer(TOPIC) == {TOPIC: message(0, incarnation=2)}
+
+
+def test_lives_are_numbered_from_one_and_never_twice() -> None:
+    lives = Lives()
+    assert lives.answer("incarnation/r1") == {"incarnation/r1": b"1"}
+    lives.seen("r1", 4)
+    lives.seen("r1", 2)
+    assert lives.answer("incarnation/r1") == {"incarnation/r1": b"5"}
+
+
+def test_a_late_joiner_gets_what_is_latched_from_a_real_router() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with ZenohSession.router(endpoint, "test") as router:
+        host = RouterHost(router)
+        host.stop()
+        host.run(patience_s=0.0)
+        with ZenohSession.client(endpoint, "test") as early:
+            assert next_incarnation(early, "r1") == 1
+            assert early.lives("r1") == ()
+            early.announce("r1", 1)
+            early.put(TOPIC, message(5))
+            early.settle()
+            assert early.ask("incarnation/r1", DEADLINE_S) == {"incarnation/r1": b"2"}
+            with (
+                ZenohSession.client(endpoint, "test") as second,
+                pytest.raises(TransportError, match=r"r1 is running already \(incarnation 1\)"),
+            ):
+                next_incarnation(second, "r1", patience_s=0.0)
+        with ZenohSession.client(endpoint, "test") as late:
+            assert late.ask(TOPIC, DEADLINE_S) == {TOPIC: message(5)}
+            assert next_incarnation(late, "r1") == 2

@@ -1,0 +1,97 @@
+"""Virtual time: order, latency, faults, and the same bytes every time."""
+
+from typing import Any
+
+import pytest
+
+from maniple.core import codec, topics
+from maniple.core.envelope import Envelope
+from maniple.core.messages import Alive, Command, Decisions
+from maniple.core.node import Node
+from maniple.core.time import MILLISECOND, SECOND, Time
+from maniple.host.virtual import VirtualHost, timer_phase
+from tests.host.nodes import Answerer, Reporter, scenario_with
+
+
+def run(seconds: float, **changes: Any) -> tuple[list[tuple[Time, Envelope]], dict[str, Reporter]]:
+    robots = {name: Reporter(name) for name in ("r2", "r1")}
+    said: list[tuple[Time, Envelope]] = []
+    nodes: list[Node] = [*robots.values(), Answerer(("r1", "r2"))]
+    host = VirtualHost(nodes, scenario_with(**changes), lambda envelope, at: said.append((at, envelope)))
+    host.start()
+    begin = host.now
+    host.run(begin + round(seconds * SECOND))
+    assert host.now == begin + round(seconds * SECOND)
+    host.stop(["controller", "r1", "r2"])
+    return said, robots
+
+
+def test_every_report_is_answered_after_two_latencies() -> None:
+    _, robots = run(10.0)
+    commands = [(at, m) for at, m in robots["r1"].heard if isinstance(m, Command)]
+    assert len(commands) == 100
+    assert {at - m.answers.stamp_ns for at, m in commands} == {2 * MILLISECOND}
+
+
+def test_times_of_the_tap_never_go_back() -> None:
+    said, _ = run(5.0)
+    times = [at for at, _ in said]
+    assert times == sorted(times)
+
+
+def test_the_same_run_says_the_same_bytes_and_another_seed_other_ones() -> None:
+    assert run(5.0)[0] == run(5.0)[0]
+    assert run(5.0)[0] != run(5.0, seed=2)[0]
+
+
+def test_timers_keep_their_phase() -> None:
+    said, _ = run(3.0)
+    reports = [e.stamp_ns for _, e in said if e.topic == topics.odometry("r1")][:-1]
+    phase = timer_phase(1, "r1", "report", SECOND // 10)
+    assert [t % (SECOND // 10) for t in reports] == [phase] * len(reports)
+
+
+def test_nodes_hear_who_lives_and_who_stopped() -> None:
+    _, robots = run(1.0)
+    lives = [(m.node, m.alive) for _, m in robots["r2"].heard if isinstance(m, Alive)]
+    assert lives == [("controller", True), ("r1", True), ("controller", False), ("r1", False)]
+
+
+def test_loss_and_delay_are_what_the_decisions_say() -> None:
+    fault = {"source": "r*", "destination": "controller", "loss": 0.3, "latency_s": 0.1, "jitter_s": 0.02}
+    said, robots = run(60.0, faults=[fault])
+    decided = [
+        d
+        for _, e in said
+        if e.topic == topics.DECISIONS
+        for m in [codec.decode(e.topic, e.data)]
+        if isinstance(m, Decisions)
+        for d in m.decided
+    ]
+    answered = {
+        m.answers.seq: at - m.answers.stamp_ns for at, m in robots["r1"].heard if isinstance(m, Command)
+    }
+    mine = {d.seq: d for d in decided if d.source == "r1"}
+    lost = {seq for seq, d in mine.items() if d.dropped}
+    assert 0.2 < len(lost) / len(mine) < 0.4
+    assert not lost & set(answered)
+    for seq, delay in answered.items():
+        assert delay == mine[seq].delay_ns + 2 * MILLISECOND
+        assert 80 * MILLISECOND <= mine[seq].delay_ns <= 120 * MILLISECOND
+
+
+def test_halt_ends_the_run_at_the_event_it_is_at() -> None:
+    def tap(envelope: Envelope, _: Time) -> None:
+        if envelope.topic == topics.odometry("r1") and envelope.seq == 3:
+            host.halt()
+
+    host = VirtualHost([Reporter()], scenario_with(), tap)
+    host.start()
+    begin = host.now
+    host.run(begin + 60 * SECOND)
+    assert host.now - begin < SECOND
+
+
+@pytest.mark.parametrize("period", [1, 7, SECOND])
+def test_phases_lie_within_the_period(period: int) -> None:
+    assert all(0 <= timer_phase(seed, "r1", "t", period) < period for seed in range(50))

@@ -1,0 +1,264 @@
+import os
+import random
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from mcap.reader import SeekingReader
+from mcap.writer import CompressionType, Writer
+
+from maniple.core import messages
+from maniple.core.errors import MessageError, RecordingError
+from maniple.core.scenario.parse import to_json
+from maniple.core.scenario.types import Formation, Line, Robot, Scenario
+from maniple.recording.reader import read
+from maniple.recording.scan import read_chunk, scan
+from maniple.recording.writer import Compression, RecordingWriter
+from tests.recording.traffic import METADATA, SCENARIO, Sent, drive, record, traffic, writer_to
+
+
+def test_decoded_messages(tmp_path: Path) -> None:
+    recording = read(record(tmp_path / "a.mcap", traffic(3)))
+    drives = list(recording.decoded(messages.Drive))
+    assert [(entry.topic, message.source, message.seq) for entry, message in drives] == [
+        (f"hw/{robot}/drive", robot, tick) for tick in range(3) for robot in ("r1", "r2")
+    ]
+
+
+def test_only_wanted_topics(tmp_path: Path) -> None:
+    sent = traffic(3)
+    recording = read(record(tmp_path / "a.mcap", sent))
+    found = list(recording.messages(lambda topic: topic == "hw/r2/scan"))
+    assert found == [message for message in sent if message.topic == "hw/r2/scan"]
+
+
+def test_invalid_bytes_come_raw(tmp_path: Path) -> None:
+    [entry] = read(record(tmp_path / "a.mcap", [Sent("hw/r1/drive", b"\xff", 1, 1, 0)])).messages()
+    assert entry.data == b"\xff"
+    assert entry.message is None
+    with pytest.raises(MessageError, match="hw/r1/drive"):
+        entry.decode()
+
+
+def test_order_across_chunks_is_log_time_then_place(tmp_path: Path) -> None:
+    """Chunks that overlap in time, and equal times on both sides of a chunk border."""
+    path = tmp_path / "a.mcap"
+    times = [[10, 30, 20], [20, 15, 40], [5, 20, 40], [40, 1]]
+    number = 0
+    expected = []
+    with writer_to(path) as writer:
+        for chunk in times:
+            for time in chunk:
+                writer.write("hw/r1/drive", drive(number), time, time, number)
+                expected.append((time, number))
+                number += 1
+            writer.flush()
+    assert [(entry.log_time_ns, entry.sequence) for entry in read(path).messages()] == sorted(expected)
+
+
+def test_can_be_read_twice_and_side_by_side(tmp_path: Path) -> None:
+    sent = traffic(20)
+    recording = read(record(tmp_path / "a.mcap", sent))
+    pairs = list(zip(recording.messages(), recording.messages(), strict=True))
+    assert [a for a, _ in pairs] == [b for _, b in pairs] == sent
+
+
+@pytest.mark.parametrize("compression", ["zstd", "none"])
+def test_every_prefix_is_readable_or_refused(tmp_path: Path, compression: Compression) -> None:
+    """Cut anywhere, all whole chunks are there; cut before the scenario is whole, one clear error."""
+    sent = traffic(30)
+    whole = record(tmp_path / "whole.mcap", sent, compression)
+    data = whole.read_bytes()
+    with whole.open("rb") as file:
+        summary = SeekingReader(file).get_summary()
+    assert summary is not None
+    scenario_end = max(index.offset + index.length for index in summary.attachment_indexes)
+    ends = [place.offset + place.length for place in scan(whole).chunks]
+    per_chunk = _messages_per_chunk(whole)
+    cut = tmp_path / "cut.mcap"
+    near = {end + step for end in [scenario_end, *ends, len(data)] for step in range(-12, 12)}
+    for size in sorted(size for size in {*range(0, len(data), 61), *near} if size < len(data)):
+        cut.write_bytes(data[:size])
+        if size < scenario_end:
+            assert str(cut) in _problem(cut)
+            continue
+        recording = read(cut)
+        count = sum(per_chunk[: sum(end <= size for end in ends)])
+        assert list(recording.messages()) == sent[:count]
+        assert not recording.complete
+        assert recording.scenario_json == SCENARIO
+
+
+def test_flipped_bytes_give_an_answer_or_one_error(tmp_path: Path) -> None:
+    data = record(tmp_path / "whole.mcap", traffic(20)).read_bytes()
+    rng = random.Random(5)
+    damaged = tmp_path / "damaged.mcap"
+    problems = 0
+    for _ in range(600):
+        content = bytearray(data)
+        content[rng.randrange(len(content))] ^= rng.randrange(1, 256)
+        damaged.write_bytes(content)
+        if problem := _problem(damaged):
+            assert str(damaged) in problem
+            problems += 1
+    assert problems > 100
+
+
+def test_damaged_chunk_is_named(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", traffic())
+    place = scan(path).chunks[1]
+    with path.open("r+b") as file:
+        file.seek(place.offset + place.length - 30)
+        file.write(b"garbage")
+    with pytest.raises(RecordingError, match=f"chunk at byte {place.offset} is damaged"):
+        list(read(path).messages())
+
+
+@pytest.mark.parametrize("lost", [10, 500])
+def test_zeros_at_the_end(tmp_path: Path, lost: int) -> None:
+    """What a power failure leaves: the length is there, the content is not."""
+    path = record(tmp_path / "a.mcap", traffic())
+    *others, last = scan(path).chunks
+    with path.open("r+b") as file:
+        file.seek(last.offset + last.length - lost)
+        file.write(bytes(path.stat().st_size))
+    recording = read(path)
+    assert not recording.complete
+    assert len(list(recording.messages())) == sum(_messages_per_chunk(path)[: len(others)])
+
+
+PROGRAM = """
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from tests.recording.traffic import traffic, writer_to
+writer = writer_to(Path(sys.argv[1]))
+for message in traffic(1000):
+    writer.write(*message)
+    writer.tick(message.log_time_ns)
+    if message.sequence == 500:
+        print("now", flush=True)
+        sys.stdin.readline()
+"""
+
+
+def test_sigkill_loses_only_the_chunk_in_progress(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    process = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    with process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"now\n"
+        process.send_signal(signal.SIGKILL)
+    recording = read(path)
+    sent = traffic(1000)
+    found = list(recording.messages())
+    assert not recording.complete
+    assert found == sent[: len(found)]
+    assert sent[2000].log_time_ns - found[-1].log_time_ns <= 500_000_000
+
+
+def test_recording_of_another_writer(tmp_path: Path) -> None:
+    """As other tools rewrite it: channels within chunks, lz4, the scenario at the end."""
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.LZ4, chunk_size=300)
+        writer.start()
+        channel = writer.register_channel("maniple/hw/r1/drive", "msgpack", 0)
+        for seq in range(20):
+            writer.add_message(channel, seq, drive(seq), seq, seq)
+        writer.add_metadata("maniple", {**METADATA, "prefix": "maniple"})
+        writer.add_attachment(0, 0, "scenario.json", "application/json", SCENARIO)
+        _finish(writer)
+    recording = read(path)
+    assert recording.complete
+    assert [(m.topic, m.sequence, m.data) for m in recording.messages()] == [
+        ("hw/r1/drive", seq, drive(seq)) for seq in range(20)
+    ]
+    os.truncate(path, path.stat().st_size - 1)
+    assert len(list(read(path).messages())) == 20
+
+
+def test_foreign_mcap_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        _finish(writer)
+    with pytest.raises(RecordingError, match="not one that maniple made"):
+        read(path)
+
+
+def test_unchunked_messages_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start()
+        writer.add_message(writer.register_channel("a", "msgpack", 0), 0, b"", 0)
+        _finish(writer)
+    with pytest.raises(RecordingError, match="outside chunks"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "is empty"),
+        (b"robots = []\n", "not an MCAP file"),
+        (b"\x89MCAP0\r\n", "ends before its first message"),
+    ],
+)
+def test_wrong_files(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=message):
+        read(path)
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="No such file"):
+        read(tmp_path / "none.mcap")
+    with pytest.raises(RecordingError, match="Is a directory"):
+        read(tmp_path)
+
+
+def test_scenario_is_what_was_attached(tmp_path: Path) -> None:
+    scenario = Scenario(
+        name="pair",
+        robots=(Robot(id="r1", pose=(0.0, 1.0, 0.5)),),
+        formation=Formation(points=((0.0, 0.0),)),
+        task=Line(start=(0.0, 0.0), end=(1.0, 0.0), speed_mps=0.1),
+    )
+    with RecordingWriter(tmp_path / "a.mcap", to_json(scenario), {}, prefix="maniple"):
+        pass
+    assert read(tmp_path / "a.mcap").scenario == scenario
+
+
+def test_scenario_of_another_version(tmp_path: Path) -> None:
+    recording = read(record(tmp_path / "a.mcap", []))
+    with pytest.raises(RecordingError, match=r"made by version 0\.1\.0"):
+        assert isinstance(recording.scenario, Scenario)
+
+
+def _problem(path: Path) -> str:
+    """What reading all of a file complains about; empty for nothing."""
+    try:
+        for entry in read(path).messages():
+            assert entry.topic
+    except RecordingError as error:
+        return str(error)
+    return ""
+
+
+def _messages_per_chunk(path: Path) -> list[int]:
+    with path.open("rb") as file:
+        return [len(list(read_chunk(file, place, {}))) for place in scan(path).chunks]
+
+
+def _finish(writer: Writer) -> None:
+    finish: Callable[[], None] = writer.finish
+    finish()

@@ -1,0 +1,45 @@
+from itertools import product
+from typing import get_args
+
+import pytest
+
+from maniple.core.messages import Mode
+from robot_agent.modes import MOVES, TRANSITIONS, WANTS_DRIVER, Event
+
+MODES = get_args(Mode)
+EVENTS = get_args(Event)
+
+EXPECTED = {
+    # event:          waiting    tracking    holding    stopped    fault
+    "driver_lost": ("waiting", "fault", "fault", "stopped", "fault"),
+    "driver_ready": ("waiting", "waiting", "waiting", "stopped", "waiting"),
+    "driver_active": ("waiting", "tracking", "holding", "stopped", "waiting"),
+    "blind": ("waiting", "holding", "holding", "stopped", "fault"),
+    "fresh": ("tracking", "tracking", "tracking", "stopped", "fault"),
+    "aging": ("holding", "holding", "holding", "stopped", "fault"),
+    "old": ("waiting", "holding", "holding", "stopped", "fault"),
+    "stop": ("stopped", "stopped", "stopped", "stopped", "stopped"),
+}
+
+
+def test_the_table_is_total() -> None:
+    assert set(TRANSITIONS) == set(product(MODES, EVENTS))
+    assert set(MOVES) == set(WANTS_DRIVER) == set(MODES)
+
+
+@pytest.mark.parametrize(("mode", "event"), list(product(MODES, EVENTS)))
+def test_transition(mode: Mode, event: Event) -> None:
+    assert TRANSITIONS[mode, event] == EXPECTED[event][MODES.index(mode)]
+
+
+def test_a_lost_driver_or_a_stop_never_leaves_a_robot_moving() -> None:
+    for mode in MODES:
+        assert not MOVES[TRANSITIONS[mode, "driver_lost"]]
+        assert not MOVES[TRANSITIONS[mode, "driver_ready"]]
+        assert not MOVES[TRANSITIONS[mode, "stop"]]
+
+
+def test_only_a_command_that_is_not_old_sets_a_robot_moving() -> None:
+    for (mode, event), after in TRANSITIONS.items():
+        if MOVES[after] and not MOVES[mode]:
+            assert event in ("fresh", "aging")

@@ -1,0 +1,121 @@
+import math
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+import pytest
+
+from maniple.core import codec, topics
+from maniple.core.messages import Drive, Motion, Scan, Truth, unpack_floats
+from maniple.core.node import Node, Outgoing, Received
+from maniple.core.scenario.types import Circle, RangeFinder, Rates, Scenario
+from simulator.node import Simulator
+
+MS = 1_000_000
+T0 = 10**18
+POSES = [(0.0, 0.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0)]
+MakeScenario = Callable[..., Scenario]
+
+
+def run(simulator: Node, duration_ms: int, u: float = 0.1, w: float = 0.05) -> list[Outgoing]:
+    """Everything that is sent while all robots are told (u, w) every 50 ms."""
+    sent = list(simulator.on_start(T0))
+    for t in range(0, duration_ms, 50):
+        for topic in sorted(simulator.subscriptions):
+            message = Drive(u_mps=u, w_radps=w, active=True)
+            sent += simulator.on_message(Received(topic, message), T0 + (t + 1) * MS)
+        sent += simulator.on_timer("motion", T0 + (t + 13) * MS)
+        if t % 100 == 0:
+            sent += simulator.on_timer("scan", T0 + (t + 27) * MS)
+        sent += simulator.on_timer("truth", T0 + (t + 38) * MS)
+    return sent + list(simulator.on_stop(T0 + duration_ms * MS))
+
+
+def last(sent: list[Outgoing], topic: str) -> object:
+    return [message for name, message in sent if name == topic][-1]
+
+
+def test_who_it_is_and_what_it_hears(make_scenario: MakeScenario) -> None:
+    rates = Rates(motion_hz=20.0, scan_hz=10.0, truth_hz=5.0)
+    simulator: Node = Simulator(make_scenario(POSES, rates=rates))
+    assert simulator.name == "simulator"
+    assert simulator.subscriptions == {"hw/r1/drive", "hw/r2/drive", "hw/r3/drive"}
+    assert simulator.timers == {"motion": 50 * MS, "scan": 100 * MS, "truth": 200 * MS}
+
+
+def test_everything_it_sends_is_a_valid_message(make_scenario: MakeScenario) -> None:
+    sent = run(Simulator(make_scenario(POSES, [Circle(centre=(2.0, 0.0), radius_m=0.3)])), 1000)
+    for name, message in sent:
+        assert codec.decode(name, codec.encode(message)) == message
+    names = [name for name, _ in sent]
+    assert [names.count(topics.motion(r)) for r in ("r1", "r2", "r3")] == [20, 20, 20]
+    assert [names.count(topics.scan(r)) for r in ("r1", "r2", "r3")] == [10, 10, 10]
+    assert names.count(topics.TRUTH) == 21
+
+
+def test_motion_truth_and_scan_tell_the_same_story(make_scenario: MakeScenario) -> None:
+    obstacle = Circle(centre=(2.0, 0.3), radius_m=0.3)
+    sent = run(Simulator(make_scenario(POSES, [obstacle])), 3000, w=0.0)
+    truth = last(sent, topics.TRUTH)
+    assert isinstance(truth, Truth)
+    assert truth.robots == ("r1", "r2", "r3")
+    poses = unpack_floats(truth.poses, 3)
+    assert poses[0] == pytest.approx([0.27, 0.0, 0.0], abs=0.03)
+    assert unpack_floats(truth.velocities, 2)[:, 0] == pytest.approx(0.1 / 0.9965, abs=1e-4)
+    assert (truth.collisions, truth.contacts) == (0, ())
+    to_neighbour = math.hypot(1.0 - 0.511, 1.0 - 0.425)
+    assert unpack_floats(truth.clearances) == pytest.approx(to_neighbour, abs=1e-3)
+
+    motion = last(sent, topics.motion("r1"))
+    assert isinstance(motion, Motion)
+    assert (motion.applied, motion.state, motion.controllable, motion.reason) == (
+        (0.1, 0.0),
+        "active",
+        True,
+        "",
+    )
+    metres = np.array(motion.ticks) * 2 * math.pi * 0.0975 / 78414
+    assert metres == pytest.approx(poses[0, 0] - 0.003, abs=2e-3)
+
+    scan = last(sent, topics.scan("r1"))
+    assert isinstance(scan, Scan)
+    assert scan.mount == (0.018, 0.0, 0.0)
+    bearing = math.atan2(0.3, 2.0 - 0.28)
+    reading = unpack_floats(scan.ranges)[90 + round(math.degrees(bearing))]
+    assert reading == pytest.approx(math.hypot(2.0 - 0.28, 0.3) - 0.3, abs=0.05)
+
+
+def test_same_seed_same_bytes_other_seed_other_noise(make_scenario: MakeScenario) -> None:
+    scenario = make_scenario(POSES, [Circle(centre=(2.0, 0.3), radius_m=0.3)])
+    first, second = (run(Simulator(scenario), 1000) for _ in range(2))
+    assert first == second
+    other = run(Simulator(msgspec.structs.replace(scenario, seed=2)), 1000)
+    assert [o for o in other if "scan" in o.topic] != [o for o in first if "scan" in o.topic]
+    assert [o for o in other if "scan" not in o.topic] == [o for o in first if "scan" not in o.topic]
+
+
+def test_sensors_of_several_types_are_sent_in_the_order_of_the_robots(make_scenario: MakeScenario) -> None:
+    scenario = make_scenario(POSES)
+    short = RangeFinder(beams=60, first_angle_rad=0.0, increment_rad=0.1, range_max_m=4.1)
+    robots = scenario.robots
+    mixed = (robots[0], msgspec.structs.replace(robots[1], sensor="sonar"), robots[2])
+    scenario = msgspec.structs.replace(scenario, robots=mixed, sensors={**scenario.sensors, "sonar": short})
+    simulator = Simulator(scenario)
+    simulator.on_start(T0)
+    sent = simulator.on_timer("scan", T0 + 5 * MS)
+    assert [o.topic for o in sent] == ["hw/r1/scan", "hw/r2/scan", "hw/r3/scan"]
+    messages = [o.message for o in sent]
+    assert all(isinstance(m, Scan) for m in messages)
+    sonar = messages[1]
+    assert isinstance(sonar, Scan)
+    ranges = unpack_floats(sonar.ranges)
+    assert len(ranges) == 60
+    assert (ranges >= sonar.range_max_m).any()
+    assert (ranges < sonar.range_max_m).any()
+
+
+def test_a_foreign_kind_of_message_is_ignored(make_scenario: MakeScenario) -> None:
+    simulator = Simulator(make_scenario(POSES))
+    simulator.on_start(T0)
+    odd = Motion(ticks=(1, 2), applied=(0.0, 0.0), state="active", controllable=True)
+    assert list(simulator.on_message(Received("hw/r1/drive", odd), T0)) == []
