@@ -30,6 +30,7 @@ from tests.waiting import children_of, eventually, runs
 
 LONG = SMALL.replace("end = [1.5, 0]", "end = [500, 0]")
 SPEED = 3.0
+NODES = ("router", "recorder", "simulator", "agent", "controller")
 AT_ONCE_S = 10.0
 """What is to be over in 5 s on a machine that is not busy with other things."""
 
@@ -47,8 +48,8 @@ class Run:
         """Process ids of the platoon as it is, by name of the node."""
         found = {}
         for pid, arguments in children_of(self.process.pid).items():
-            if "maniple" in arguments:
-                command, *rest = arguments[arguments.index("maniple") + 1 :]
+            command, *rest = arguments[arguments.index("maniple") + 1 :] if "maniple" in arguments else [""]
+            if command in NODES:  # between fork and exec a child has its parent's arguments, or none
                 found[rest[0] if command == "agent" else command] = pid
         self.seen |= {pid: name for name, pid in found.items()}
         return found
@@ -56,7 +57,6 @@ class Run:
     def option(self, name: str) -> str:
         """What the nodes were given for an option."""
         pid = self.children()["controller"]
-        eventually(lambda: name in children_of(self.process.pid)[pid])  # a child is its parent at first
         arguments = children_of(self.process.pid)[pid]
         return arguments[arguments.index(name) + 1]
 
