@@ -2,7 +2,8 @@
 
 from typing import Literal, TypeAlias
 
-from maniple.core.messages import Command, Layer, Stamp
+from maniple.core.layers import Layer
+from maniple.core.messages import Command, Stamp
 from maniple.core.time import Time, to_seconds
 
 Refusal: TypeAlias = Literal["layer", "incarnation", "future"]

@@ -13,7 +13,7 @@ from maniple.control.limits import age_limits
 from maniple.control.pipeline import central_layers, onboard_layers
 from maniple.core import topics
 from maniple.core.faults import matches
-from maniple.core.messages import Layer
+from maniple.core.layers import Layer
 from maniple.core.scenario.places import desired_shapes
 from maniple.core.scenario.types import Fault, Point, Scenario
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from maniple.control import avoidance, unicycle
 from maniple.control.returns import Returns
-from maniple.core.messages import Layer
+from maniple.core.layers import Layer
 from maniple.core.scenario.types import Avoidance
 
 PIPELINE: tuple[Layer, ...] = ("kinematics", "avoidance", "compensation", "drive")

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from functools import cache
 from operator import attrgetter
+from types import UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -11,6 +12,7 @@ import numpy as np
 
 from maniple.core.errors import MessageError
 from maniple.core.messages import Message
+from maniple.core.scenario.types import Parameters
 from maniple.core.topics import topic
 
 _encode = msgspec.msgpack.Encoder().encode
@@ -60,16 +62,20 @@ def _problem_finder(kind: type[msgspec.Struct]) -> Callable[[msgspec.Struct], st
     hints = get_type_hints(kind, include_extras=True)
     scalars = tuple(name for name, hint in hints.items() if hint is float)
     vectors = tuple(
-        name for name, hint in hints.items() if get_origin(hint) is tuple and set(get_args(hint)) == {float}
+        name
+        for name, hint in hints.items()
+        if get_origin(hint) is tuple and set(get_args(hint)) <= {float, ...}
     )
     arrays = tuple((name, 4 * columns) for name, hint in hints.items() if (columns := _columns(hint)))
     nested = tuple((name, _problem_finder(part)) for name, hint in hints.items() if (part := _part(hint)))
+    trees = tuple(name for name, hint in hints.items() if _is_tree(hint))
     checks: list[Callable[[Any], str | None]] = []
     if scalars:
         checks.append(_scalars_checked(scalars))
     checks += [_vector_checked(name) for name in vectors]
     checks += [_array_checked(name, row) for name, row in arrays]
     checks += [_parts_checked(name, find) for name, find in nested]
+    checks += [_tree_checked(name) for name in trees]
     if not checks:
         return lambda _: None
     if len(checks) == 1:
@@ -121,6 +127,27 @@ def _parts_checked(name: str, find: Callable[[Any], str | None]) -> Callable[[An
         return next((f"{name}: {text}" for text in texts if text is not None), None)
 
     return check
+
+
+def _tree_checked(name: str) -> Callable[[Any], str | None]:
+    def check(message: Any) -> str | None:
+        value = msgspec.to_builtins(getattr(message, name))
+        return None if _all_finite(value) else f"{name} holds a number that is not finite"
+
+    return check
+
+
+def _all_finite(value: Any) -> bool:
+    """Whether every number in what a struct is made of is finite."""
+    if isinstance(value, dict | list | tuple):
+        return all(map(_all_finite, value.values() if isinstance(value, dict) else value))
+    return not isinstance(value, float) or math.isfinite(value)
+
+
+def _is_tree(hint: Any) -> bool:
+    """Whether a field holds one of several structs, or none."""
+    parts = get_args(hint) if isinstance(hint, UnionType) else ()
+    return any(isinstance(part, type) and issubclass(part, Parameters) for part in parts)
 
 
 def _name_the_worst(message: msgspec.Struct, scalars: tuple[str, ...]) -> str:

@@ -10,14 +10,15 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Layer: TypeAlias = Literal["kinematics", "avoidance", "compensation", "drive"]
-"""The layers of one robot, in the order of the pipeline."""
+from maniple.core.layers import Layer
+from maniple.core.scenario.types import Formation, Task
 
 Mode: TypeAlias = Literal["waiting", "tracking", "holding", "stopped", "fault"]
 """What a robot's agent is doing."""
 
-Phase: TypeAlias = Literal["waiting", "running", "done"]
-"""What the controller is doing: waiting for robots, running the task, or past its end."""
+Phase: TypeAlias = Literal["waiting", "forming", "running", "holding", "done"]
+"""What the controller is doing: waiting for robots, building the formation, running the task, standing
+because it was told to or because too few robots are left, or past the task's end."""
 
 DriverState: TypeAlias = Literal["closed", "connected", "configured", "active", "fault"]
 """Where a driver is in its life cycle; see `robot_agent.drivers.interface`."""
@@ -64,8 +65,15 @@ class Odometry(Message, frozen=True, kw_only=True, gc=False):
     psi_rad: float
     u_mps: float
     w_radps: float
+    v_mps: float = 0.0
+    """Sideways to the left, of a robot that can."""
     applied: Stamp | None = None
     """The command that was last acted on."""
+    ticks: tuple[int, ...] = ()
+    """The encoder counts this pose belongs to: with them a restarted agent knows how far the robot rolled
+    on while it was dead. Empty before the first."""
+    motion_incarnation: int = 0
+    """The life of the driver that counted them."""
 
 
 class Scan(Message, frozen=True, kw_only=True, gc=False):
@@ -77,6 +85,17 @@ class Scan(Message, frozen=True, kw_only=True, gc=False):
     range_max_m: float
     mount: tuple[float, float, float]
     """Pose (m, m, rad) of the sensor in the robot's frame."""
+    beams: Annotated[
+        bytes,
+        msgspec.Meta(
+            description="float32 little-endian, shape (beams, 3): x, y (m) and direction (rad) of each beam",
+            extra={"columns": 3},
+        ),
+    ] = b""
+    """Where each beam starts and points in the sensor's frame, where they are no even fan (an array of
+    sonars); then `first_angle_rad` and `increment_rad` say nothing."""
+    cone_rad: float = 0.0
+    """Opening angle of a beam: what is seen may be anywhere across it."""
     ranges: Annotated[bytes, msgspec.Meta(description="float32 little-endian, shape (beams,), metres")]
     """Distances; `range_max_m` or more: nothing seen; below `range_min_m`: something too near to measure."""
 
@@ -95,6 +114,11 @@ class Status(Message, frozen=True, kw_only=True, gc=False):
     reason: str
     """Why the robot is not tracking; empty while it is."""
     counters: dict[str, int]
+    compensation: tuple[float, ...] = ()
+    """The adapted parameters, where the robot compensates its dynamics itself."""
+    localised: bool = True
+    """Whether it knows where its frame lies: false for one that was restarted and has not heard its own last
+    odometry."""
 
 
 class Command(Message, frozen=True, kw_only=True, gc=False):
@@ -104,6 +128,9 @@ class Command(Message, frozen=True, kw_only=True, gc=False):
     """The first layer that is left for the robot to run."""
     values: tuple[float, float]
     """(u m/s, w rad/s); before "kinematics" the control point's velocity (m/s) in the odometry frame."""
+    third: float = 0.0
+    """Sideways speed v to the left (m/s); before "kinematics" the turning rate (rad/s) of the formation. Only
+    for robots whose heading is free."""
     answers: Stamp
     """The odometry of this robot it was computed from."""
     inputs_age_ns: int
@@ -114,10 +141,12 @@ class RobotReport(msgspec.Struct, frozen=True, gc=False):
     """What the controller knows of one robot."""
 
     id: str
-    state: Literal["absent", "present", "silent", "unlocalised"]
+    state: Literal["absent", "present", "silent", "unlocalised", "lost"]
     odometry_age_s: float
     """Since the last odometry arrived; -1 where none has."""
     mode: str
+    compensation: tuple[float, ...] = ()
+    """The adapted parameters, where the controller compensates the robot's dynamics."""
 
 
 class FormationState(Message, frozen=True, kw_only=True, gc=False):
@@ -146,6 +175,40 @@ class FormationState(Message, frozen=True, kw_only=True, gc=False):
     """The robots that do not follow now: the reference stands until they do."""
     refused: int = 0
     """Inputs that were refused since the start."""
+    frame: str = "world"
+    """What `reference` is given in: "world", or the robot whose odometry frame the controller works in."""
+    points: Annotated[
+        bytes,
+        msgspec.Meta(
+            description="float32 little-endian, shape (robots in the chain, 2), metres", extra={"columns": 2}
+        ),
+    ] = b""
+    """Where the control points of the chain are to be, in the desired formation's frame."""
+    leg: int = 0
+    """Which part of a sequence of tasks, from 0."""
+    rate: float = 1.0
+    """How fast the reference moves along the task: 1 as planned, 0 it stands."""
+    reason: str = ""
+    """Why the platoon holds; empty while it does not."""
+    goal: str = ""
+    """The `id` of the last goal that was decided on."""
+    goal_refused: str = ""
+    """Why that goal was refused; empty where it was not."""
+    supervisor: tuple[str, ...] = ()
+    """What the supervisor does now, a line for each triangle it keeps from becoming singular."""
+
+
+class Goal(Message, frozen=True, kw_only=True):
+    """What an operator wants from here on; what is None stays as it is."""
+
+    id: str
+    """The operator's own mark, given back in `formation/state`."""
+    task: Task | None = None
+    """A new task; it begins at once."""
+    formation: Formation | None = None
+    """A new shape for all robots of the scenario, built on the way."""
+    hold: bool | None = None
+    """True: stand; false: go on."""
 
 
 class Drive(Message, frozen=True, kw_only=True, gc=False):
@@ -155,19 +218,23 @@ class Drive(Message, frozen=True, kw_only=True, gc=False):
     w_radps: float
     active: bool
     """Whether the agent wants the driver active: false lets it brake and deactivate."""
+    v_mps: float = 0.0
+    """Sideways to the left, for a robot that can."""
 
 
 class Motion(Message, frozen=True, kw_only=True, gc=False):
     """What a robot's drive reports."""
 
-    ticks: tuple[int, int]
-    """Left and right wheel encoder counts since power-up."""
+    ticks: tuple[int, ...]
+    """Wheel encoder counts since power-up: left and right, or as many as the robot has wheels that count."""
     applied: tuple[float, float]
     """(u m/s, w rad/s) it is applying, after its own limits."""
     state: DriverState
     controllable: bool
     reason: str = ""
     """Why it is not controllable; empty while it is."""
+    applied_v_mps: float = 0.0
+    """Sideways to the left, likewise."""
 
 
 class Truth(Message, frozen=True, kw_only=True, gc=False):

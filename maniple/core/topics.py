@@ -81,6 +81,14 @@ TOPICS: tuple[Topic, ...] = (
         latched=True,
         faults=True,
     ),
+    Topic(
+        pattern="formation/goal",
+        type=messages.Goal,
+        rate_hz=0,
+        latched=True,
+        faults=True,
+        priority="commands",
+    ),
     Topic(pattern="faults/decisions", type=messages.Decisions, rate_hz=5, priority="background"),
     Topic(
         pattern="hw/{id}/drive",
@@ -127,6 +135,7 @@ HOST_REFUSED = "host/refused"
 HOST_COUNTERS = "host/counters"
 DECISIONS = "faults/decisions"
 FORMATION_STATE = "formation/state"
+FORMATION_GOAL = "formation/goal"
 TRUTH = "sim/truth"
 
 

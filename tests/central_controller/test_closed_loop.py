@@ -9,7 +9,8 @@ from central_controller.node import CONTROL, CentralController
 from maniple.control import unicycle
 from maniple.core import topics
 from maniple.core.geometry import Floats, Pose
-from maniple.core.messages import Alive, Command, FormationState, Layer, Odometry, Status, unpack_floats
+from maniple.core.layers import Layer
+from maniple.core.messages import Alive, Command, FormationState, Odometry, Status, unpack_floats
 from maniple.core.node import Received
 from maniple.core.scenario.types import Avoidance, Formation, Line, Placement, Robot, Scenario
 from maniple.core.streams import stream

@@ -4,7 +4,7 @@ import pytest
 from msgspec.structs import replace
 
 from maniple.control.limits import age_limits, limits_of
-from maniple.core.messages import Layer
+from maniple.core.layers import Layer
 from maniple.core.scenario.types import (
     Avoidance,
     Controller,

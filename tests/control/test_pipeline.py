@@ -7,7 +7,7 @@ import pytest
 from maniple.control import avoidance, unicycle
 from maniple.control.pipeline import PIPELINE, Pipeline, central_layers, onboard_layers
 from maniple.control.returns import Returns
-from maniple.core.messages import Layer
+from maniple.core.layers import Layer
 from maniple.core.scenario.types import Avoidance
 
 SEEN = Returns(np.array([0.5]), np.array([-0.5]), True, False)

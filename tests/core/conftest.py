@@ -4,6 +4,7 @@ import pytest
 
 from maniple.core import messages, topics
 from maniple.core.messages import Message, Stamp, pack_floats
+from maniple.core.scenario.types import Formation, Line, Sequence
 
 
 def examples() -> dict[str, Message]:
@@ -14,6 +15,7 @@ def examples() -> dict[str, Message]:
         range_min_m=0.2,
         range_max_m=8.0,
         mount=(0.02, 0.0, 0.1),
+        beams=pack_floats([[0.1, 0.0, -0.5], [0.1, 0.0, 0.0], [0.1, 0.0, 0.5]]),
         ranges=pack_floats([1.0, 2.5, 8.0]),
     )
     head = {"source": "r1", "incarnation": 2, "seq": 40, "stamp_ns": 10**18}
@@ -37,6 +39,7 @@ def examples() -> dict[str, Message]:
             driver="active",
             reason="",
             counters={"old": 3},
+            compensation=(0.26, 0.25, 0.0, 1.0, 0.0, 1.1),
         ),
         topics.command("r1"): messages.Command(
             layer="drive", values=(0.1, -0.2), answers=Stamp(1, 9, 5), inputs_age_ns=10**6
@@ -49,7 +52,14 @@ def examples() -> dict[str, Message]:
             reference_velocity=(0.1, 0.0, 0.0),
             chain=("r1", "r2", "r3"),
             errors=pack_floats([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]]),
-            roster=(messages.RobotReport("r1", "present", 0.1, "tracking"),),
+            roster=(messages.RobotReport("r1", "present", 0.1, "tracking", (0.26, 0.25)),),
+            points=pack_floats([[1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]),
+        ),
+        topics.FORMATION_GOAL: messages.Goal(
+            id="op-1",
+            task=Sequence(tasks=(Line(start=(0.0, 0.0), end=(1.0, 0.0), speed_mps=0.1),)),
+            formation=Formation(points=((1.0, 0.0), (0.0, 1.0), (0.0, -1.0))),
+            hold=False,
         ),
         topics.drive("r1"): messages.Drive(u_mps=0.1, w_radps=0.2, active=True),
         topics.motion("r1"): messages.Motion(

@@ -62,7 +62,7 @@ def test_nor_in_an_array(example: tuple[str, Message], bad: float) -> None:
 
 def test_arrays_have_whole_rows(example: tuple[str, Message]) -> None:
     name, message = example
-    columns = {"errors": 6, "poses": 3, "velocities": 2}
+    columns = {"errors": 6, "poses": 3, "velocities": 2, "beams": 3, "points": 2}
     for field, value in as_map(message).items():
         if isinstance(value, bytes):
             for cut in range(1, 4 * columns.get(field, 1)):

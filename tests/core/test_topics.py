@@ -77,4 +77,8 @@ def test_who_may_send() -> None:
 
 def test_commands_go_first_and_late_joiners_get_what_is_latched() -> None:
     assert topic(topics.command("r1")).priority == topic(topics.drive("r1")).priority == "commands"
-    assert {row.pattern for row in TOPICS if row.latched} == {"robot/{id}/odometry", "formation/state"}
+    assert {row.pattern for row in TOPICS if row.latched} == {
+        "robot/{id}/odometry",
+        "formation/state",
+        "formation/goal",
+    }

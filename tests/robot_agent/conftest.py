@@ -5,7 +5,8 @@ from typing import Any
 import pytest
 
 from maniple.core import topics
-from maniple.core.messages import Command, Layer, Stamp
+from maniple.core.layers import Layer
+from maniple.core.messages import Command, Stamp
 from maniple.core.node import Received
 from maniple.core.scenario.types import (
     Avoidance,

@@ -10,12 +10,12 @@ from maniple.core import codec, topics
 from maniple.core.envelope import Envelope
 from maniple.core.errors import ScenarioError
 from maniple.core.geometry import Pose
+from maniple.core.layers import Layer
 from maniple.core.messages import (
     Command,
     Counters,
     Drive,
     DriverState,
-    Layer,
     Motion,
     Odometry,
     Refused,

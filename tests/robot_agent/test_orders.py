@@ -1,6 +1,7 @@
 import pytest
 
-from maniple.core.messages import Command, Layer, Stamp
+from maniple.core.layers import Layer
+from maniple.core.messages import Command, Stamp
 from maniple.core.time import SECOND
 from robot_agent.orders import Orders
 

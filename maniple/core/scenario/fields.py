@@ -75,6 +75,8 @@ def expected(kind: inspect.Type) -> str:
             return f"text that matches {kind.pattern}" if kind.pattern else "text"
         case inspect.BoolType():
             return "true or false"
+        case inspect.AnyType():
+            return "any value"
         case _:
             raise TypeError(f"no parameter is a {kind}")
 
@@ -148,6 +150,8 @@ def _alternative(union: inspect.UnionType, value: Any) -> inspect.Type | str:
         meant: tuple[type[inspect.Type], ...] = (inspect.NoneType,)
     elif _is_list(value):
         meant = (inspect.TupleType, inspect.VarTupleType)
+    elif isinstance(value, str):
+        meant = (inspect.StrType,)
     else:
         meant = (inspect.FloatType,) if _is_number(value) else ()
     return next((kind for kind in kinds if isinstance(kind, meant)), f"must be {expected(union)}")
@@ -168,6 +172,8 @@ def _fits(kind: inspect.Type, value: Any) -> bool:
             )
         case inspect.BoolType():
             return isinstance(value, bool)
+        case inspect.AnyType():
+            return True
         case _:
             return isinstance(kind, inspect.NoneType) and value is None
 

@@ -3,12 +3,12 @@
 SI units, radians, counter-clockwise, x forward/east, y left/north. Poses are (x m, y m, heading rad).
 """
 
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import msgspec
 from msgspec import Meta
 
-from maniple.core.messages import Layer
+from maniple.core.layers import Layer
 
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
@@ -26,11 +26,23 @@ class Parameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Base of all parameter types: frozen, by keyword, unknown fields refused."""
 
 
+class Shape(Parameters, frozen=True, kw_only=True):
+    """A named shape of the formation, for any number of robots."""
+
+    kind: Literal["line-abreast", "vee", "wedge", "polygon", "column"]
+    """Triangles side by side, a vee open to the front, a wedge, a regular polygon, or triangles in a
+    column."""
+    spacing_m: Positive
+    """Distance between neighbours."""
+
+
 class Formation(Parameters, frozen=True, kw_only=True):
     """The desired shape: where each robot's control point is to be, in the formation's own frame."""
 
-    points: tuple[Point, ...]
+    points: tuple[Point, ...] = ()
     """One (x forward, y left) for each robot, in the order of the robots."""
+    shape: Shape | None = None
+    """Instead of `points`."""
 
 
 class Line(Parameters, frozen=True, kw_only=True, tag_field="kind", tag="line"):
@@ -46,7 +58,109 @@ class Line(Parameters, frozen=True, kw_only=True, tag_field="kind", tag="line"):
     """How long the reference rests at the end before the task counts as completed."""
 
 
-Task: TypeAlias = Line
+class Waypoints(Parameters, frozen=True, kw_only=True, tag_field="kind", tag="waypoints"):
+    """Task: straight lines between points, joined by arcs, at constant speed."""
+
+    points: Annotated[tuple[Point, ...], Meta(min_length=2)]
+    """Where the formation's origin goes, in order."""
+    speed_mps: Positive
+    """Speed of the reference along its way; less than any robot's `u_max_mps`."""
+    radius_m: Positive = 1.0
+    """Of the arcs at the corners; smaller where neighbouring corners leave no room for it."""
+    facing: Literal["along", "fixed"] = "along"
+    """Whether the formation turns with its way, or keeps the direction it starts in."""
+    settle_s: Seconds = 0.0
+    """How long the reference rests at the end before the task counts as completed."""
+
+
+class Orbit(Parameters, frozen=True, kw_only=True, tag_field="kind", tag="circle"):
+    """Task: the formation's origin goes round a circle at constant speed."""
+
+    centre: Point
+    """Its middle."""
+    radius_m: Positive
+    """Its radius."""
+    speed_mps: Positive
+    """Speed of the reference along its way; less than any robot's `u_max_mps`."""
+    turns: Positive = 1.0
+    """How many times round."""
+    clockwise: bool = False
+    """Which way round."""
+    start_rad: float = 0.0
+    """Where it starts, as the direction from the centre."""
+    facing: Literal["along", "fixed"] = "along"
+    """Whether the formation turns with its way, or keeps the direction it starts in."""
+    settle_s: Seconds = 0.0
+    """How long the reference rests at the end before the task counts as completed."""
+
+
+class FigureEight(Parameters, frozen=True, kw_only=True, tag_field="kind", tag="figure-eight"):
+    """Task: the formation's origin follows a figure eight at constant speed."""
+
+    centre: Point
+    """Where the two loops meet, and where it starts and ends."""
+    size_m: Positive
+    """From the centre to the far end of a loop."""
+    speed_mps: Positive
+    """Speed of the reference along its way; less than any robot's `u_max_mps`."""
+    laps: Positive = 1.0
+    """How many times through both loops."""
+    angle_rad: float = 0.0
+    """Direction from the centre to the far end of the first loop."""
+    facing: Literal["along", "fixed"] = "along"
+    """Whether the formation turns with its way, or keeps the direction it starts in."""
+    settle_s: Seconds = 0.0
+    """How long the reference rests at the end before the task counts as completed."""
+
+
+class Csv(Parameters, frozen=True, kw_only=True, tag_field="kind", tag="csv"):
+    """Task: a way from a file with the columns t_s, x_m, y_m and, if it turns, psi_rad. Becomes `samples`
+    when the scenario is loaded."""
+
+    file: str
+    """Path, relative to the scenario file."""
+    settle_s: Seconds = 0.0
+    """How long the reference rests at the end before the task counts as completed."""
+
+
+class Samples(Parameters, frozen=True, kw_only=True, tag_field="kind", tag="samples"):
+    """Task: the formation's frame goes through given poses at given times, smoothly."""
+
+    times_s: Annotated[tuple[float, ...], Meta(min_length=2)]
+    """Rising, from 0."""
+    poses: Annotated[tuple[PoseXY, ...], Meta(min_length=2)]
+    """Of the formation's frame, one for each time; headings are unwrapped along the shorter way."""
+    settle_s: Seconds = 0.0
+    """How long the reference rests at the end before the task counts as completed."""
+
+
+class Positioning(Parameters, frozen=True, kw_only=True, tag_field="kind", tag="positioning"):
+    """Task: the formation is to stand at a pose; ended when every triangle is where it is to be."""
+
+    target: PoseXY
+    """Of the formation's frame."""
+    start: PoseXY = (0.0, 0.0, 0.0)
+    """Where the formation's frame is when robots without a `pose` are placed."""
+    tolerance_m: Positive = 0.02
+    """The most any x, y, p or q of a triangle may be off, as the controller sees it."""
+    tolerance_rad: Positive = 0.02
+    """The most any psi_F or beta may be off."""
+    settle_s: Seconds = 0.0
+    """For how long all errors must stay within the tolerances."""
+
+
+Leg: TypeAlias = Line | Waypoints | Orbit | FigureEight | Csv | Samples | Positioning
+"""One part of a task; `kind` chooses."""
+
+
+class Sequence(Parameters, frozen=True, kw_only=True, tag_field="kind", tag="sequence"):
+    """Task: several, one after the other. Each starts where its own parameters say."""
+
+    tasks: Annotated[tuple[Leg, ...], Meta(min_length=1)]
+    """In order."""
+
+
+Task: TypeAlias = Line | Waypoints | Orbit | FigureEight | Csv | Samples | Positioning | Sequence
 """What the platoon is to do; `kind` chooses."""
 
 
@@ -186,6 +300,62 @@ class Controller(Parameters, frozen=True, kw_only=True):
     """L, the most each of the six is corrected, m/s and rad/s, from 1e-6 to 1000: one number, or six."""
     angle: Literal["signed", "unsigned"] = "signed"
     """Shape angle: signed tells a triangle from its mirror image; unsigned is the paper's eq. (4)."""
+    reference: Literal["formation", "neighbours"] = "formation"
+    """Desired pose of the triangles after the first: the one in the desired formation, or built on where the
+    two robots before are now."""
+    law: str = "paper"
+    """The formation law: "paper", or the name of an installed one (see docs/extending.md)."""
+    options: dict[str, Any] = {}
+    """Parameters of an installed law; what is valid is the law's own affair."""
+    host: Name | None = None
+    """The robot whose computer the controller runs on, as in the paper's experiments: its links to it are
+    local, it ends with it, and works in its odometry frame. By default a computer of its own."""
+    lost_after_s: PositiveSeconds = 3.0
+    """A robot that has been gone, silent or out of control for this long is lost: the others go on without
+    it. At least `stop_after_s` of the guard is waited for those that only hold."""
+
+
+class Waiting(Parameters, frozen=True, kw_only=True):
+    """The reference slows down when the formation can't keep up."""
+
+    enabled: bool = False
+    """Whether it does."""
+    free_m: NotNegative = 0.10
+    """Up to this position error, the largest over the robots, the reference goes at full speed."""
+    stop_m: Positive = 0.50
+    """From this error on it stands; in between it slows evenly. More than `free_m`."""
+
+
+class Supervisor(Parameters, frozen=True, kw_only=True):
+    """Keeps every triangle away from where its Jacobian is singular."""
+
+    enabled: bool = True
+    """Whether it acts."""
+    margin_m: Positive = 0.15
+    """It acts when p, q or the median of a triangle gets smaller than this (with the unsigned angle also
+    when the robots are this near to a line)."""
+    exchange: bool = False
+    """Whether robots of one type may exchange their places instead of passing through each other."""
+
+
+class Planning(Parameters, frozen=True, kw_only=True):
+    """Who takes which place, and how the formation is built before the task begins."""
+
+    method: str = "given"
+    """Who takes which place: "given" (the order of the robots), "final-reorganization" and "proximity" (the
+    two of section 5), "optimal" (least total travel), or the name of an installed planner."""
+    relabel: bool = False
+    """Whether the places may be numbered anew so that the triangles of the chain overlap as little as
+    possible."""
+    build: Literal["straight", "law", "off"] = "off"
+    """How scattered robots build the formation before the task starts: all along straight lines that end at
+    the same moment, by the formation law alone, or not at all."""
+    speed_mps: Positive = 0.10
+    """Of the fastest robot on its straight line."""
+    tolerance_m: Positive = 0.05
+    """The formation counts as built when no x, y, p or q of a triangle is off by more."""
+    tolerance_rad: Positive = 0.10
+    """And no psi_F or beta by more."""
 
 
 class Impedance(Parameters, frozen=True, kw_only=True):
@@ -220,6 +390,46 @@ class Avoidance(Parameters, frozen=True, kw_only=True):
     """Left and right: each object once, on the side of its nearest return, or return by return."""
     gap_m: Positive = 0.30
     """Neighbouring returns farther apart than this belong to different objects."""
+    law: str = "impedance"
+    """The law: "impedance", or the name of an installed one (see docs/extending.md)."""
+    options: dict[str, Any] = {}
+    """Parameters of an installed law; what is valid is the law's own affair."""
+
+
+class Compensation(Parameters, frozen=True, kw_only=True):
+    """Adaptive dynamic compensation (Martins et al. 2008, doi 10.1016/j.conengprac.2008.03.004)."""
+
+    enabled: bool = False
+    """Whether the layer is there at all."""
+    law: str = "adaptive"
+    """The law: "adaptive", or the name of an installed one (see docs/extending.md)."""
+    options: dict[str, Any] = {}
+    """Parameters of an installed law; what is valid is the law's own affair."""
+    k_u: Positive = 4.0
+    """Gain on the speed error."""
+    k_w: Positive = 4.0
+    """Gain on the turning rate error."""
+    l_u: Positive = 1.0
+    """Saturation of the speed correction."""
+    l_w: Positive = 1.0
+    """Saturation of the turning rate correction."""
+    gamma: Six = (1.7, 1.1, 0.5, 0.3, 0.01, 0.5)
+    """How fast each of the six parameters is adapted."""
+    sigma: tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative] = (
+        5e-4,
+        1e-3,
+        1e-3,
+        6e-5,
+        1e-3,
+        1e-3,
+    )
+    """How fast each is forgotten."""
+    adapt: bool = True
+    """Whether they are adapted at all."""
+    initial: Positive = 1.0
+    """The parameters start at the model's `theta` times this."""
+    filter_s: PositiveSeconds = 0.2
+    """Time constant of the derivative of the desired velocities."""
 
 
 class Placement(Parameters, frozen=True, kw_only=True):
@@ -293,6 +503,17 @@ class Fault(Parameters, frozen=True, kw_only=True):
     """Share of the messages that are lost, each on its own."""
 
 
+class Crash(Parameters, frozen=True, kw_only=True):
+    """A node dies without a word, and may come back."""
+
+    node: Name
+    """A robot, or "controller"."""
+    at_s: Seconds
+    """When, since the start."""
+    restart_after_s: PositiveSeconds | None = None
+    """How long it is gone; for ever by default."""
+
+
 class Scenario(Parameters, frozen=True, kw_only=True):
     """A whole run: robots, formation, task, world, and every parameter of every part."""
 
@@ -314,8 +535,16 @@ class Scenario(Parameters, frozen=True, kw_only=True):
     """What is around them."""
     controller: Controller = Controller()
     """The formation law."""
+    planning: Planning = Planning()
+    """Who takes which place, and how the formation is built."""
+    waiting: Waiting = Waiting()
+    """The reference waits for robots that can't keep up."""
+    supervisor: Supervisor = Supervisor()
+    """Singular triangles are avoided."""
     avoidance: Avoidance = Avoidance()
     """Obstacle avoidance of each robot."""
+    compensation: Compensation = Compensation()
+    """Dynamic compensation of each robot."""
     placement: Placement = Placement()
     """Where the layers run."""
     guard: Guard = Guard()
@@ -326,6 +555,8 @@ class Scenario(Parameters, frozen=True, kw_only=True):
     """The network without faults."""
     faults: tuple[Fault, ...] = ()
     """What is wrong with it."""
+    crashes: tuple[Crash, ...] = ()
+    """Which nodes die, and when."""
     models: dict[str, RobotModel] = {}
     """Types of robots, beside those of the catalogue."""
     sensors: dict[str, RangeFinder] = {}
