@@ -67,7 +67,7 @@ def test_a_desired_formation_that_changes_is_differentiated_exactly() -> None:
         before, now, after = (
             chain.deforming(start + speeds * t, speeds, at(t), (vx, vy, w)) for t in (-step, 0.0, step)
         )
-        assert_allclose(now.rates, wrap_array((after.q - before.q)) / (2 * step), atol=1e-6)
+        assert_allclose(now.rates, wrap_array(after.q - before.q) / (2 * step), atol=1e-6)
 
 
 def test_a_rigid_formation_is_a_deforming_one_at_rest() -> None:
