@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
-from maniple.core.scenario.types import Fault
+from maniple.core.scenario.types import Fault, Scenario
 from maniple.core.time import Duration, from_seconds
 
 
@@ -29,6 +29,18 @@ def matches(rule: Fault, source: str, destination: str, topic: str) -> bool:
         and fnmatchcase(destination, rule.destination)
         and fnmatchcase(topic, rule.topic)
     )
+
+
+def beside(node: str, scenario: Scenario) -> frozenset[str]:
+    """The nodes on the same computer, itself among them: no network fails between these."""
+    host = scenario.controller.host
+    here = {"controller", host} if host is not None and node in ("controller", host) else set()
+    return frozenset({node, *here})
+
+
+def dies_with(node: str, scenario: Scenario) -> tuple[str, ...]:
+    """The nodes that end with one: a controller ends with the robot it runs on, not the robot with it."""
+    return (node, "controller") if node == scenario.controller.host else (node,)
 
 
 class Link:

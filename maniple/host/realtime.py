@@ -11,6 +11,7 @@ from typing import NamedTuple
 from maniple.core import topics
 from maniple.core.envelope import Envelope, envelope_of
 from maniple.core.errors import MessageError
+from maniple.core.faults import beside
 from maniple.core.node import Node
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import Duration, Time
@@ -59,7 +60,7 @@ class RealtimeHost:
         self._fleet = fleet
         self._hardware = hardware
         self._sessions = {"fleet": fleet, "hardware": hardware}
-        self._faulty = FaultyReceiver(node.name, scenario.faults, scenario.seed)
+        self._faulty = FaultyReceiver(node.name, scenario.faults, scenario.seed, beside(node.name, scenario))
         self._inbox: SimpleQueue[_Bytes | _Life | _Stop] = SimpleQueue()
         self._agenda: list[tuple[Time, int, int, str, Envelope | None]] = []
         self._pushed = 0
@@ -85,10 +86,12 @@ class RealtimeHost:
         self._send(self._runner.stop(self._faulty.take_decided(), now))
 
     def _connect(self) -> None:
-        """Subscribe, fetch what is latched, and show that the node lives."""
+        """Subscribe, fetch what is latched, and show that the node lives. What only the node itself says is
+        of interest as the last word of its former life."""
         wanted = sorted(self._node.subscriptions)
         for name in wanted:
-            if (session := self._session(name)) is not None:
+            session = self._session(name)
+            if session is not None and topics.sender_of(name) != self._node.name:
                 session.subscribe(name, lambda topic, data: self._inbox.put(_Bytes(topic, data)))
         self._fleet.watch(lambda node, life, alive: self._inbox.put(_Life(node, life, alive)))
         for name in wanted:

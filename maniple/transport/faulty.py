@@ -1,6 +1,6 @@
 """Fault injection at a receiver: pure decisions for each message, remembered for the log."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from maniple.core.envelope import Envelope
 from maniple.core.faults import Link
@@ -11,12 +11,15 @@ from maniple.core.topics import topic
 
 
 class FaultyReceiver:
-    """What the network's faults do to the messages for one destination."""
+    """What the network's faults do to the messages for one destination, but for those from `local` nodes."""
 
-    def __init__(self, destination: str, plan: Sequence[Fault], seed: int) -> None:
+    def __init__(
+        self, destination: str, plan: Sequence[Fault], seed: int, local: Collection[str] = ()
+    ) -> None:
         self._destination = destination
         self._plan = tuple(plan)
         self._seed = seed
+        self._local = local
         self._links: dict[tuple[str, str], Link] = {}
         self._decided: list[Decided] = []
 
@@ -26,7 +29,8 @@ class FaultyReceiver:
             return 0
         link = self._links.get((envelope.source, envelope.topic))
         if link is None:
-            applies = self._plan if topic(envelope.topic).faults else ()
+            exempt = envelope.source in self._local or not topic(envelope.topic).faults
+            applies = () if exempt else self._plan
             link = Link(applies, self._seed, envelope.source, self._destination, envelope.topic)
             self._links[envelope.source, envelope.topic] = link
         if not link:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import TypeAlias
 
 from maniple.core.envelope import Envelope
+from maniple.core.faults import beside
 from maniple.core.messages import Decided
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import Duration, Time, from_seconds
@@ -17,7 +18,8 @@ _Route: TypeAlias = tuple[tuple[str, Duration, FaultyReceiver], ...]
 
 
 class MemoryNetwork:
-    """Routes envelopes by topic name; links take at least the least latency of their network."""
+    """Routes envelopes by topic name; links take at least the least latency of their network, and within one
+    computer that of the hardware."""
 
     def __init__(self, scenario: Scenario, subscriptions: Mapping[str, frozenset[str]]) -> None:
         self._latency: dict[str, Duration] = {
@@ -27,8 +29,10 @@ class MemoryNetwork:
         self._faulty = bool(scenario.faults)
         self._routes: dict[tuple[str, str], _Route] = {}
         self._subscriptions = {name: subscriptions[name] for name in sorted(subscriptions)}
+        self._beside = {name: beside(name, scenario) for name in self._subscriptions}
         self._receivers = {
-            name: FaultyReceiver(name, scenario.faults, scenario.seed) for name in self._subscriptions
+            name: FaultyReceiver(name, scenario.faults, scenario.seed, self._beside[name])
+            for name in self._subscriptions
         }
 
     def send(self, envelope: Envelope, now: Time) -> list[Delivery]:
@@ -51,9 +55,13 @@ class MemoryNetwork:
         return self._receivers[receiver].take_decided()
 
     def _route(self, name: str, source: str) -> _Route:
-        latency = self._latency[topic(name).network]
+        network = topic(name).network
         return tuple(
-            (receiver, latency, self._receivers[receiver])
+            (
+                receiver,
+                self._latency["hardware" if source in self._beside[receiver] else network],
+                self._receivers[receiver],
+            )
             for receiver, wanted in self._subscriptions.items()
             if name in wanted and receiver != source
         )

@@ -1,5 +1,7 @@
 """Virtual time: order, latency, faults, and the same bytes every time."""
 
+from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -8,7 +10,7 @@ from maniple.core import codec, topics
 from maniple.core.envelope import Envelope
 from maniple.core.messages import Alive, Command, Decisions
 from maniple.core.node import Node
-from maniple.core.time import MILLISECOND, SECOND, Time
+from maniple.core.time import MILLISECOND, SECOND, VIRTUAL_EPOCH, Time
 from maniple.host.virtual import VirtualHost, timer_phase
 from tests.host.nodes import Answerer, Reporter, scenario_with
 
@@ -95,3 +97,68 @@ def test_halt_ends_the_run_at_the_event_it_is_at() -> None:
 @pytest.mark.parametrize("period", [1, 7, SECOND])
 def test_phases_lie_within_the_period(period: int) -> None:
     assert all(0 <= timer_phase(seed, "r1", "t", period) < period for seed in range(50))
+
+
+def crashing(seconds: float, host: str | None = None, **crash: Any) -> tuple[list[Envelope], Node]:
+    """Two reporters and a controller, one of which dies and may come back."""
+    said: list[Envelope] = []
+    factories: dict[str, Callable[[int], Node]] = {
+        "r1": lambda _: Reporter("r1"),
+        "r2": lambda _: Reporter("r2"),
+        "controller": lambda _: Answerer(("r1", "r2")),
+    }
+    nodes: list[Node] = [make(1) for make in factories.values()]
+    scenario = scenario_with(crashes=[crash], controller={} if host is None else {"host": host})
+    virtual = VirtualHost(nodes, scenario, lambda envelope, _: said.append(envelope), factories)
+    virtual.start()
+    virtual.run(virtual.now + round(seconds * SECOND))
+    virtual.stop(["controller", "r1", "r2"])
+    return said, nodes[0]
+
+
+def lives_of(said: list[Envelope], node: str) -> dict[int, list[float]]:
+    """First and last stamp of every life of a node, s since the start."""
+    lives: dict[int, list[float]] = {}
+    for envelope in said:
+        if envelope.source == node:
+            lives.setdefault(envelope.incarnation, []).append((envelope.stamp_ns - VIRTUAL_EPOCH) / SECOND)
+    return {life: [min(stamps), max(stamps)] for life, stamps in lives.items()}
+
+
+def test_a_node_dies_without_a_word_and_comes_back_in_its_next_life() -> None:
+    said, _ = crashing(10.0, node="r2", at_s=3.0, restart_after_s=2.0)
+    lives = lives_of(said, "r2")
+    assert lives[1] == pytest.approx([0.0, 3.0], abs=0.11)
+    assert lives[2] == pytest.approx([5.0, 10.0], abs=0.11)
+    reports = [e.stamp_ns for e in said if e.topic == topics.odometry("r2") and e.incarnation == 2]
+    assert {b - a for a, b in pairwise(reports[:-1])} == {SECOND // 10}  # no timer of the first life goes on
+    assert crashing(10.0, node="r2", at_s=3.0, restart_after_s=2.0)[0] == said
+
+
+def test_the_others_hear_of_it_and_the_new_life_gets_what_is_latched() -> None:
+    _, first = crashing(10.0, node="r2", at_s=3.0, restart_after_s=2.0)
+    assert isinstance(first, Reporter)
+    news = [(m.node, m.node_incarnation, m.alive) for _, m in first.heard if isinstance(m, Alive)]
+    assert ("r2", 1, False) in news
+    assert ("r2", 2, True) in news
+
+
+def test_a_controller_on_a_robot_dies_with_it() -> None:
+    said, _ = crashing(6.0, host="r1", node="r1", at_s=2.0)
+    assert lives_of(said, "controller")[1][1] == pytest.approx(2.0, abs=0.21)
+    assert lives_of(said, "r2")[1][1] == pytest.approx(6.0, abs=0.01)
+
+
+def test_links_within_a_computer_have_no_faults() -> None:
+    fault = {"loss": 0.5, "latency_s": 0.1}
+    said: list[tuple[Time, Envelope]] = []
+    robots = [Reporter("r1"), Reporter("r2")]
+    scenario = scenario_with(faults=[fault], controller={"host": "r1"})
+    host = VirtualHost(
+        [*robots, Answerer(("r1", "r2"))], scenario, lambda envelope, at: said.append((at, envelope))
+    )
+    host.start()
+    host.run(host.now + 10 * SECOND)
+    ages = [{at - m.answers.stamp_ns for at, m in robot.heard if isinstance(m, Command)} for robot in robots]
+    assert max(ages[0]) < MILLISECOND
+    assert min(ages[1]) >= 200 * MILLISECOND
