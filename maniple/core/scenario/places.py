@@ -1,10 +1,13 @@
-"""Where the desired formation is: the chain of triangles and their desired shapes."""
+"""Where the desired formation is, how fast its places move, and the shapes of its chain of triangles."""
 
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from maniple.core.geometry import Pose
-from maniple.core.scenario.types import Scenario, Task
+from maniple.core.scenario.types import Leg, Point, Positioning, Samples, Scenario, Sequence, Task
+from maniple.core.scenario.ways import way_of
 
 
 class Shape(NamedTuple):
@@ -23,20 +26,56 @@ class Shape(NamedTuple):
     """Smallest height of the triangle: 0 for three robots in a line."""
 
 
+def legs_of(task: Task) -> tuple[Leg, ...]:
+    """The parts of a task: those of a sequence, or the one it is."""
+    return task.tasks if isinstance(task, Sequence) else (task,)
+
+
 def start_pose(task: Task) -> Pose:
-    """Where the formation's frame is when the task begins."""
-    return Pose(float(task.start[0]), float(task.start[1]), heading(task))
+    """Where the formation's frame is when the task begins, for positioning where the robots are placed.
+
+    Raises:
+        ScenarioError: it is in a file that has not been loaded.
+    """
+    first = legs_of(task)[0]
+    if isinstance(first, Positioning):
+        return Pose(*map(float, first.start))
+    if isinstance(first, Samples):
+        return Pose(*map(float, first.poses[0]))
+    return way_of(first).at(0.0)[0]
 
 
 def end_pose(task: Task) -> Pose:
-    """Where the formation's frame is when the task ends."""
-    return Pose(float(task.end[0]), float(task.end[1]), heading(task))
+    """Where the formation's frame is when the task ends.
+
+    Raises:
+        ScenarioError: it is in a file that has not been loaded.
+    """
+    way = way_of(legs_of(task)[-1])
+    return way.at(way.travel_s)[0]
 
 
-def heading(task: Task) -> float:
-    """Direction (rad) of travel."""
-    (x0, y0), (x1, y1) = task.start, task.end
-    return math.atan2(y1 - y0, x1 - x0)
+def fastest_mps(task: Task, place: Point = (0.0, 0.0)) -> float:
+    """Largest speed (m/s) that a place, fixed in the formation's frame, has during the task; 0 for
+    positioning.
+
+    On the outside of a turn that is more than the frame's own: the speed of (vx - turning y, vy + turning x).
+
+    Raises:
+        ScenarioError: a file of the task has not been loaded.
+    """
+    twists = np.concatenate([way_of(leg).twists() for leg in legs_of(task)])
+    x, y = place
+    return float(np.hypot(twists[:, 0] - twists[:, 2] * y, twists[:, 1] + twists[:, 2] * x).max())
+
+
+def most_turning_radps(task: Task) -> float:
+    """Largest turning rate (rad/s, either way) of the formation's frame during the task.
+
+    Raises:
+        ScenarioError: a file of the task has not been loaded.
+    """
+    return float(max(np.abs(way_of(leg).twists()[:, 2]).max() for leg in legs_of(task)))
 
 
 def desired_shapes(scenario: Scenario) -> list[Shape]:
