@@ -70,13 +70,14 @@ def run(
     overrides: Sequence[str] = (),
     log: Path | str | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
+    on_notice: Callable[[str], None] = lambda _: None,
 ) -> Result:
     """Run a scenario to the end of its task, or for `duration_s` of simulated time, and record it.
 
     `scenario` is a file or a `Scenario`; `overrides` are as `--set` takes them ("controller.kappa=0.3").
     With `virtual` all nodes run in this process in virtual time, else each in a process of its own over
     Zenoh at `speed` times the wall clock. An existing `log` is not overwritten; by default a new file in
-    `logs/`.
+    `logs/`. `on_notice` gets a line for each robot that dies or comes back.
 
     Raises:
         ArgumentError: speed or duration is not valid.
@@ -94,7 +95,7 @@ def run(
         metadata = describe_machine(resolved, mode)
         figures, interrupted = run_virtual(resolved, path, metadata, duration_s, on_progress)
     else:
-        figures, interrupted = run_realtime(resolved, path, speed, duration_s, on_progress)
+        figures, interrupted = run_realtime(resolved, path, speed, duration_s, on_progress, on_notice)
     unrecorded = describe(read(path)).missing if not virtual and path.exists() else 0
     return _result(resolved, mode, figures, time.perf_counter() - begin, path, unrecorded, interrupted)
 

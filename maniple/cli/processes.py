@@ -15,7 +15,7 @@ from maniple.core.errors import RunError
 from maniple.core.scenario.types import Scenario
 
 LIFE = 1
-"""The incarnation of every node of a run: `maniple run` restarts nothing."""
+"""The first incarnation of every node of a run."""
 
 LAST_WORDS = 20
 """Lines of a child's standard error that are kept."""
@@ -27,6 +27,11 @@ class Process(NamedTuple):
     name: str
     arguments: tuple[str, ...]
     """Of `maniple`."""
+
+    def again(self, life: int) -> "Process":
+        """The same for another life of its node."""
+        *before, _ = self.arguments[: self.arguments.index("--incarnation") + 2]
+        return self._replace(arguments=(*before, str(life)))
 
 
 def table(scenario: Scenario, connect: str, anchor: str, log: str) -> tuple[tuple[Process, ...], ...]:
@@ -109,6 +114,11 @@ class Child:
         if self.alive:
             self._popen.send_signal(signal.SIGINT)
             self._popen.send_signal(signal.SIGCONT)  # one that is frozen would not hear it
+
+    def kill(self) -> None:
+        """End it without a word, and wait for that."""
+        self._popen.kill()
+        self._popen.wait()
 
     def finish(self, until: float) -> None:
         """Wait for its end, and end it by force at `until` (monotonic seconds)."""

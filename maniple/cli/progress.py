@@ -120,6 +120,10 @@ class LiveProgress:
         else:
             self._console.print(line(progress), highlight=False, markup=False, soft_wrap=True)
 
+    def notice(self, text: str) -> None:
+        """Show a line that stays."""
+        self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+
 
 def line(progress: Progress) -> str:
     """Progress in one line."""

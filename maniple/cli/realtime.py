@@ -9,10 +9,11 @@ from queue import Empty, SimpleQueue
 
 from maniple.cli.interrupt import on_interrupt
 from maniple.cli.nodes import RUNDOWN_S, time_limit_s
-from maniple.cli.processes import LIFE, Child, finish_all, stop_order, table
+from maniple.cli.processes import LIFE, Child, Process, finish_all, stop_order, table
 from maniple.cli.progress import Progress, ProgressWatch
 from maniple.core import codec
 from maniple.core.errors import MessageError, RunError, TransportError
+from maniple.core.faults import dies_with
 from maniple.core.scenario.parse import to_json
 from maniple.core.scenario.types import Scenario
 from maniple.host.clock import Anchor
@@ -33,6 +34,8 @@ LAST_S = 0.4
 """What the simulator is left of its time when the robots have stood long enough."""
 PORTS = 3
 """How many ports are tried where another program takes the one just found free."""
+LEAST = 3
+"""Robots that make a formation."""
 _POLL_S = 0.05
 
 
@@ -42,14 +45,15 @@ def run_realtime(
     speed: float,
     duration_s: float | None,
     on_progress: Callable[[Progress], None],
+    on_notice: Callable[[str], None],
 ) -> tuple[RunFigures, bool]:
     """Run to the end of the task, or of `duration_s`; returns the figures, and whether it was interrupted.
 
     Raises:
-        RunError: a process could not be started, or died.
+        RunError: a process could not be started, or one died that the platoon can't do without.
         RecordingError: the recording can't be written or read.
     """
-    platoon = Platoon(scenario, log, speed)
+    platoon = Platoon(scenario, log, speed, on_notice)
     with on_interrupt(platoon.interrupt):
         failure = platoon.run(duration_s, on_progress)
     if failure:
@@ -83,15 +87,29 @@ def free_endpoint() -> str:
 
 
 class Platoon:
-    """All processes of one run, from start to end."""
+    """All processes of one run, from start to end.
 
-    def __init__(self, scenario: Scenario, log: Path, speed: float) -> None:
+    Robots may be lost as long as enough are left for a formation, and come back as processes of somebody
+    else. `on_notice` is told.
+    """
+
+    def __init__(
+        self, scenario: Scenario, log: Path, speed: float, on_notice: Callable[[str], None] = lambda _: None
+    ) -> None:
         self._scenario = scenario
+        self._robots = frozenset(robot.id for robot in scenario.robots)
+        self._notice = on_notice
         self._log = log
         self._speed = speed
         self._json = to_json(scenario)
+        self._processes: dict[str, Process] = {}
         self._children: dict[str, Child] = {}
-        self._lives: SimpleQueue[tuple[str, int]] = SimpleQueue()
+        self._expected: dict[str, int] = {}
+        self._buried: set[str] = set()
+        self._guests: set[str] = set()
+        self._crashes = sorted(scenario.crashes, key=lambda crash: crash.at_s)
+        self._restarts: list[tuple[float, str]] = []
+        self._lives: SimpleQueue[tuple[str, int, bool]] = SimpleQueue()
         self._inbox: SimpleQueue[tuple[str, bytes]] = SimpleQueue()
         self._watch = ProgressWatch(scenario)
         self._patience = 1.0
@@ -108,11 +126,13 @@ class Platoon:
                 stack.callback(self._stop)
                 endpoint = self._start(stack)
                 limit_s = time_limit_s(self._scenario, duration_s) / self._speed
-                until = time.monotonic() + limit_s
+                begin = time.monotonic()
+                until = begin + limit_s
                 while not (self.interrupted or self._watch.done or time.monotonic() >= until):
                     self._listen()
+                    self._play_fate((time.monotonic() - begin) * self._speed)
                     on_progress(self._watch.progress()._replace(connect=endpoint))
-                    self._require_alive()
+                    self._bury()
                 if not self.interrupted:
                     self._patience = PATIENCE
         except (RunError, TransportError) as error:
@@ -131,7 +151,7 @@ class Platoon:
         endpoint = self._start_router(anchor, until)
         if not self.interrupted:
             session = stack.enter_context(ZenohSession.client(endpoint, self._scenario.network.prefix))
-            session.watch(lambda node, life, alive: self._lives.put((node, life)) if alive else None)
+            session.watch(lambda node, life, alive: self._lives.put((node, life, alive)))
             for expression in ("formation/state", "robot/*/status"):
                 session.subscribe(expression, lambda topic, data: self._inbox.put((topic, data)))
         for stage in table(self._scenario, endpoint, anchor, str(self._log)):
@@ -139,7 +159,7 @@ class Platoon:
                 break
             for process in stage:
                 if process.name not in self._children:
-                    self._children[process.name] = Child(process, self._json)
+                    self._spawn(process, LIFE)
             self._await({process.name for process in stage}, until)
         return endpoint
 
@@ -148,7 +168,7 @@ class Platoon:
         for attempt in range(1, PORTS + 1):
             endpoint = free_endpoint()
             ((process,), *_) = table(self._scenario, endpoint, anchor, str(self._log))
-            router = self._children[process.name] = Child(process, self._json)
+            router = self._spawn(process, LIFE)
             while not (self.interrupted or router.spoke(_POLL_S)):
                 if not router.alive and attempt < PORTS:
                     router.finish(until)
@@ -168,15 +188,30 @@ class Platoon:
             self._require_alive()
             _require_time(until, missing)
 
+    def _spawn(self, process: Process, life: int) -> Child:
+        """Start a process."""
+        self._processes[process.name] = process
+        self._expected[process.name] = life
+        self._buried.discard(process.name)
+        child = self._children[process.name] = Child(process, self._json)
+        return child
+
     def _next_life(self, timeout_s: float) -> str:
-        """The next node that comes to life.
+        """The next node that comes to life, or whose life has ended.
 
         Raises:
             Empty: none does within the time.
-            RunError: it is not one of this run's.
+            RunError: a node that takes the place of a living one of this run.
         """
-        node, life = self._lives.get(timeout=timeout_s)
-        if node in self._children and life != LIFE:
+        node, life, alive = self._lives.get(timeout=timeout_s)
+        if node not in self._children or life == self._expected[node]:
+            return node
+        if not alive:
+            self._guests.discard(node)
+        elif node in self._robots and not self._children[node].alive:
+            self._guests.add(node)
+            self._notice(f"{node} is back (incarnation {life})")
+        else:
             raise RunError(
                 f"another {node} (incarnation {life}) joined the network of this run: "
                 "nodes of the same name would take turns"
@@ -196,6 +231,35 @@ class Platoon:
         dead = [child.epitaph() for child in self._children.values() if not child.alive]
         if dead:
             raise RunError("\n".join(dead))
+
+    def _bury(self) -> None:
+        """Go on without robots that have died, while enough are left.
+
+        Raises:
+            RunError: too few are left, or another process has died.
+        """
+        dead = {name for name, child in self._children.items() if not child.alive}
+        for name in sorted(dead - self._buried):
+            self._buried.add(name)
+            comes_back = any(robot == name for _, robot in self._restarts)
+            left = len(self._robots - dead | self._guests) + comes_back
+            if not comes_back and (name not in self._robots or left < LEAST):
+                raise RunError(self._children[name].epitaph())
+            self._notice(f"{self._children[name].epitaph()}; {left} robots go on")
+
+    def _play_fate(self, now_s: float) -> None:
+        """Kill and restart what the scenario says, `now_s` of scenario time after the start."""
+        while self._crashes and self._crashes[0].at_s <= now_s:
+            crash = self._crashes.pop(0)
+            for name in dies_with(crash.node, self._scenario):
+                self._children[name].kill()
+                if crash.restart_after_s is not None:
+                    self._restarts.append((crash.at_s + crash.restart_after_s, name))
+        for due in [entry for entry in self._restarts if entry[0] <= now_s]:
+            self._restarts.remove(due)
+            life = self._expected[due[1]] + 1
+            self._spawn(self._processes[due[1]].again(life), life)
+            self._notice(f"{due[1]} is started again (incarnation {life})")
 
     def _stop(self) -> None:
         """Stop all processes in order; by force what does not follow in its time."""

@@ -49,6 +49,7 @@ def run(
             overrides=overrides or (),
             log=log,
             on_progress=show,
+            on_notice=show.notice,
         )
     if json:
         typer.echo(msgspec.json.encode(result))

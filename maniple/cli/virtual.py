@@ -55,7 +55,8 @@ def run_virtual(
         interrupted = True
         host.halt()
 
-    host = VirtualHost([make(1) for make in factories(scenario).values()], scenario, tap)
+    makers = factories(scenario)
+    host = VirtualHost([make(1) for make in makers.values()], scenario, tap, makers)
     recording = RecordingWriter(
         log, to_json(scenario), metadata, prefix=scenario.network.prefix, now=host.now
     )
