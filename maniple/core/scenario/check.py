@@ -24,6 +24,9 @@ FARTHEST_M = 10_000.0
 LEAST_GAIN, MOST_GAIN = 1e-6, 1e3
 """The law divides gains and saturations by each other."""
 
+MOST_ERROR = 0.5
+"""Of a robot's geometry, relative."""
+
 LONGEST_S = 1e6
 """Of a task."""
 
@@ -145,8 +148,7 @@ def _bodies(scenario: Scenario) -> Iterator[str]:
     for robot in scenario.robots:
         model = scenario.model_of(robot)
         assert robot.pose is not None
-        radius = 0.5 * math.hypot(model.length_m, model.width_m)
-        bodies.append((robot.id, robot.pose, radius, outline.body(robot.pose, model)))
+        bodies.append((robot.id, robot.pose, outline.radius(model), outline.body(robot.pose, model)))
     for (i, (first, a, ra, outline_a)), (j, (second, b, rb, outline_b)) in combinations(enumerate(bodies), 2):
         if math.dist(a[:2], b[:2]) <= ra + rb and outline.gap(outline_a, outline_b) == 0.0:
             yield (
@@ -177,6 +179,31 @@ def _model(path: str, model: RobotModel) -> Iterator[str]:
     for index in (0, 1, 3, 5):
         if model.theta[index] <= 0.0:
             yield f"{path}.theta[{index}] = {model.theta[index]}: must be > 0, or the drive is unstable"
+    for field, drive in (
+        ("wheelbase_m", "car"),
+        ("steer_max_rad", "car"),
+        ("v_max_mps", "omnidirectional"),
+    ):
+        value = getattr(model, field)
+        if drive == model.drive and value is None:
+            yield f"{path}.{field}: missing; must be given for drive = {drive!r}"
+        elif drive != model.drive and value is not None:
+            yield f"{path}.{field} = {value}: must be left out for drive = {model.drive!r}"
+    wheels = 3 if model.drive == "omnidirectional" else 2
+    if len(model.wheel_error) not in (0, wheels):
+        yield (
+            f"{path}.wheel_error = {list(model.wheel_error)}: must have {wheels} numbers, one a wheel, or none"
+        )
+    for index, share in enumerate(model.wheel_error):
+        if not abs(share) <= MOST_ERROR:
+            yield f"{path}.wheel_error[{index}] = {share}: must be from -{MOST_ERROR} to {MOST_ERROR}"
+    if not abs(model.track_error) <= MOST_ERROR:
+        yield f"{path}.track_error = {model.track_error}: must be from -{MOST_ERROR} to {MOST_ERROR}"
+    if abs(model.body_offset_m) > 0.5 * model.length_m:
+        yield (
+            f"{path}.body_offset_m = {model.body_offset_m}: must be at most half of length_m = "
+            f"{model.length_m}: the axle is under the body"
+        )
 
 
 def _sensors(scenario: Scenario) -> Iterator[str]:
@@ -187,6 +214,18 @@ def _sensors(scenario: Scenario) -> Iterator[str]:
 def _sensor(path: str, sensor: RangeFinder) -> Iterator[str]:
     if sensor.range_min_m >= sensor.range_max_m:
         yield f"{path}.range_min_m = {sensor.range_min_m}: must be < range_max_m = {sensor.range_max_m}"
+    if sensor.transducers:
+        if sensor.beams or sensor.increment_rad:
+            yield f"{path}.transducers: are given, and so is a fan; must be one of them (leave out beams)"
+        return
+    if sensor.cone_rad:
+        yield f"{path}.cone_rad = {sensor.cone_rad}: must be left out for a fan; transducers have cones"
+    if sensor.beams < 1 or sensor.increment_rad <= 0.0:
+        yield (
+            f"{path}: sees nothing; must have transducers, or a fan with beams >= 1 and increment_rad > 0 "
+            f"(they are {sensor.beams} and {sensor.increment_rad})"
+        )
+        return
     fan = (sensor.beams - 1) * sensor.increment_rad
     if fan > 2.0 * math.pi + 1e-9:
         most = 2.0 * math.pi / (sensor.beams - 1)

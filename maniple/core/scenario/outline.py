@@ -20,7 +20,13 @@ def rectangle(pose: Sequence[float], length: float, width: float) -> Corners:
 
 def body(pose: Sequence[float], model: RobotModel) -> Corners:
     """Corners of a robot whose middle of the axle is at `pose`."""
-    return rectangle(pose, model.length_m, model.width_m)
+    middle = Pose(*pose).compose(Pose(model.body_offset_m, 0.0, 0.0))
+    return rectangle(middle, model.length_m, model.width_m)
+
+
+def radius(model: RobotModel) -> float:
+    """Of the circle around a robot's body whose centre is the middle of the axle, m."""
+    return math.hypot(0.5 * model.length_m + abs(model.body_offset_m), 0.5 * model.width_m)
 
 
 def corners_of(obstacle: Box | Polygon | Wall) -> Corners:

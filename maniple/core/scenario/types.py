@@ -212,46 +212,77 @@ class World(Parameters, frozen=True, kw_only=True):
 
 
 class RobotModel(Parameters, frozen=True, kw_only=True):
-    """A type of differential-drive robot."""
+    """A type of robot: what it can do, how it answers, and how well it knows itself."""
 
+    drive: Literal["differential", "omnidirectional", "car"] = "differential"
+    """How it moves: two driven wheels (or two sides, skid steering); three omni wheels at 60, 180 and 300
+    degrees around its middle; or a driven rear axle and steered front wheels."""
+    kinematics: str = ""
+    """How it is steered by its control point: the name of an installed class (see docs/extending.md), by
+    default the inverse kinematics of `drive`."""
     length_m: Positive
-    """Of the body, along x; the body is a rectangle centred on the middle of the axle."""
+    """Of the body, along x; the body is a rectangle."""
     width_m: Positive
     """Of the body, along y."""
+    body_offset_m: float = 0.0
+    """How far ahead of the middle of the (rear) axle the middle of the body is."""
     wheel_radius_m: Positive
     """Of the driven wheels."""
     track_m: Positive
-    """Distance between the wheels (the effective one for skid steering)."""
+    """Distance between the left and the right wheel (the effective one for skid steering); of an
+    omnidirectional robot the diameter of the circle its wheels touch the ground on."""
+    wheelbase_m: Positive | None = None
+    """Distance between the axles; for a car only, and required there."""
+    steer_max_rad: Annotated[float, Meta(gt=0, lt=1.5)] | None = None
+    """Largest steering angle of a single front wheel in the middle; for a car only, and required there."""
     ticks_per_revolution: Positive
     """Encoder counts in one turn of a wheel."""
     u_max_mps: Positive
     """Largest forward and backward speed."""
+    v_max_mps: Positive | None = None
+    """Largest sideways speed; for an omnidirectional robot only, and required there."""
     w_max_radps: Positive
     """Largest turning rate."""
     u_accel_mps2: Positive
-    """Largest forward acceleration that is commanded."""
+    """Largest acceleration that is commanded."""
     w_accel_radps2: Positive
     """Largest angular acceleration that is commanded."""
     brake_mps2: Positive
     """Deceleration the robot can be trusted to brake with."""
     theta: tuple[float, float, float, float, float, float]
     """Velocity dynamics, th1 .. th6: th1 u' = th3 w^2 - th4 u + u_ref; th2 w' = -th5 u w - th6 w + w_ref
-    (Martins et al. 2008, doi 10.1016/j.conengprac.2008.03.004); th1, th2, th4 and th6 are positive."""
+    (Martins et al. 2008, doi 10.1016/j.conengprac.2008.03.004); sideways th1 v' = -th4 v + v_ref; th1, th2,
+    th4 and th6 are positive."""
     drive_timeout_s: PositiveSeconds = 0.5
     """A drive that hears nothing for this long brakes by itself; longer than the period of `drive_hz`."""
     sensor_mount: PoseXY = (0.0, 0.0, 0.0)
-    """Where a range finder sits on the body."""
+    """Where a range finder sits on the body, from the middle of the axle."""
+    wheel_error: tuple[float, ...] = ()
+    """How much larger each wheel really is than `wheel_radius_m`, as a share: one number a wheel (left and
+    right; of an omnidirectional robot all three), or none."""
+    track_error: float = 0.0
+    """How much larger the track really is than `track_m`, as a share."""
+    slip_sigma: NotNegative = 0.0
+    """Wheel slip: how much more or less than it rolls a wheel turns, as a share; standard deviation of what
+    is drawn anew for each wheel every `slip_length_m`."""
+    slip_length_m: Positive = 0.1
+    """Rolled distance over which the slip of a wheel stays the same."""
 
 
 class RangeFinder(Parameters, frozen=True, kw_only=True):
-    """A type of range finder: a fan of beams."""
+    """A type of range finder: a fan of beams, or transducers that look in directions of their own."""
 
-    beams: Annotated[int, Meta(ge=1, le=10_000)]
-    """Number of beams."""
-    first_angle_rad: float
+    beams: Annotated[int, Meta(ge=0, le=10_000)] = 0
+    """Number of beams of a fan."""
+    first_angle_rad: float = 0.0
     """Direction of the first beam in the sensor's frame; the others follow counter-clockwise."""
-    increment_rad: Positive
+    increment_rad: NotNegative = 0.0
     """Angle between neighbouring beams; the fan covers at most a full turn."""
+    transducers: tuple[PoseXY, ...] = ()
+    """Instead of a fan: (x, y, direction) of each, in the robot's frame; the model's `sensor_mount` does not
+    count."""
+    cone_rad: Annotated[float, Meta(ge=0, lt=3.1)] = 0.0
+    """Opening angle of a transducer: it reads the distance of the nearest thing within its cone."""
     range_min_m: NotNegative = 0.0
     """Nearer than this it can't measure; less than `range_max_m`."""
     range_max_m: Positive
@@ -260,6 +291,11 @@ class RangeFinder(Parameters, frozen=True, kw_only=True):
     """Standard deviation of the error."""
     resolution_m: NotNegative = 0.0
     """Step of the readings; 0 for none."""
+
+    @property
+    def readings(self) -> int:
+        """Distances in one scan."""
+        return len(self.transducers) or self.beams
 
 
 class Robot(Parameters, frozen=True, kw_only=True):

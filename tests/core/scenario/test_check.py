@@ -58,7 +58,29 @@ def test_a_sound_scenario_has_no_problems(data: Data) -> None:
         (["sensors.eye.range_min_m=8"], "sensors.eye.range_min_m = 8.0: must be < range_max_m = 8.0"),
         (["sensors.eye.increment_rad=0.04"], "must be <= 0.0349066 (360 degrees)"),
         (["models.cart.theta.0=0"], "models.cart.theta[0] = 0.0: must be > 0"),
+        (["sensors.eye.cone_rad=0.5"], "sensors.eye.cone_rad = 0.5: must be left out for a fan"),
+        (["sensors.eye.transducers=[[0, 0, 0]]"], "sensors.eye.transducers: are given, and so is a fan"),
+        (
+            ["sensors.eye.beams=0"],
+            "sensors.eye: sees nothing; must have transducers, or a fan with beams >= 1",
+        ),
         (["models.cart.theta.5=-1"], "models.cart.theta[5] = -1.0: must be > 0"),
+        (["models.cart.drive='car'"], "models.cart.wheelbase_m: missing; must be given for drive = 'car'"),
+        (
+            ["models.cart.steer_max_rad=0.4"],
+            "models.cart.steer_max_rad = 0.4: must be left out for drive = 'differential'",
+        ),
+        (["models.cart.drive='omnidirectional'"], "models.cart.v_max_mps: missing; must be given"),
+        (["models.cart.wheel_error=[0.1]"], "models.cart.wheel_error = [0.1]: must have 2 numbers"),
+        (
+            ["models.cart.wheel_error=[0, -0.9]"],
+            "models.cart.wheel_error[1] = -0.9: must be from -0.5 to 0.5",
+        ),
+        (["models.cart.track_error=2"], "models.cart.track_error = 2.0: must be from -0.5 to 0.5"),
+        (
+            ["models.cart.body_offset_m=0.3"],
+            "models.cart.body_offset_m = 0.3: must be at most half of length_m",
+        ),
         (
             ["models.cart.drive_timeout_s=0.05"],
             "drive_timeout_s = 0.05: the drive would brake between commands",

@@ -82,7 +82,7 @@ def test_whole_numbers_become_floats(data: Data) -> None:
             "world.obstacles[0].points = [[0, 0], [1, 1]]: must be a list of at least 3",
         ),
         ("models.cart.theta.0=x", "models.cart.theta[0] = 'x': must be a finite number"),
-        ("sensors.eye.beams=0", "sensors.eye.beams = 0: must be a whole number >= 1 and <= 10000"),
+        ("sensors.eye.beams=-1", "sensors.eye.beams = -1: must be a whole number >= 0 and <= 10000"),
         ("formation.points.1.0=2001-01-01", "formation.points[1][0] = datetime.date(2001, 1, 1): must be"),
         ("name=2", "name = 2: must be text"),
     ],
