@@ -6,13 +6,15 @@ from typing import Literal, TypeAlias
 from maniple.core.messages import Mode
 
 Event: TypeAlias = Literal[
-    "driver_lost", "driver_ready", "driver_active", "blind", "fresh", "aging", "old", "stop"
+    "layer_failed", "driver_lost", "driver_ready", "driver_active", "blind", "fresh", "aging", "old", "stop"
 ]
-"""What a tick finds of the driver: silent, faulty or not controllable; there but not active; active. If it
-is active: no ranges known where they are needed. What it finds of the command, if it sees: young enough; old
-enough to slow down; too old to move. And the end of the agent."""
+"""What a tick finds of its own layers: one has failed, for good. What it finds of the driver: silent, faulty
+or not controllable; there but not active; active. If it is active: no ranges known where they are needed.
+What it finds of the command, if it sees: young enough; old enough to slow down; too old to move. And the end
+of the agent."""
 
 TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
+    ("waiting", "layer_failed"): "fault",
     ("waiting", "driver_lost"): "waiting",
     ("waiting", "driver_ready"): "waiting",
     ("waiting", "driver_active"): "waiting",
@@ -21,6 +23,7 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("waiting", "aging"): "holding",
     ("waiting", "old"): "waiting",
     ("waiting", "stop"): "stopped",
+    ("tracking", "layer_failed"): "fault",
     ("tracking", "driver_lost"): "fault",
     ("tracking", "driver_ready"): "waiting",
     ("tracking", "driver_active"): "tracking",
@@ -29,6 +32,7 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("tracking", "aging"): "holding",
     ("tracking", "old"): "holding",
     ("tracking", "stop"): "stopped",
+    ("holding", "layer_failed"): "fault",
     ("holding", "driver_lost"): "fault",
     ("holding", "driver_ready"): "waiting",
     ("holding", "driver_active"): "holding",
@@ -37,6 +41,7 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("holding", "aging"): "holding",
     ("holding", "old"): "holding",
     ("holding", "stop"): "stopped",
+    ("stopped", "layer_failed"): "stopped",
     ("stopped", "driver_lost"): "stopped",
     ("stopped", "driver_ready"): "stopped",
     ("stopped", "driver_active"): "stopped",
@@ -45,6 +50,7 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("stopped", "aging"): "stopped",
     ("stopped", "old"): "stopped",
     ("stopped", "stop"): "stopped",
+    ("fault", "layer_failed"): "fault",
     ("fault", "driver_lost"): "fault",
     ("fault", "driver_ready"): "waiting",
     ("fault", "driver_active"): "waiting",

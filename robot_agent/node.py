@@ -4,7 +4,9 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
 from maniple.control import guard
+from maniple.control.builtin import BUILTIN
 from maniple.control.limits import Velocity, limits_of
+from maniple.control.parts import Parts
 from maniple.control.pipeline import Pipeline, onboard_layers
 from maniple.core import topics
 from maniple.core.errors import ScenarioError
@@ -47,7 +49,9 @@ class RobotAgent:
         ScenarioError: the scenario has no such robot, or its driver can't be commanded.
     """
 
-    def __init__(self, scenario: Scenario, robot_id: str, incarnation: int = 1) -> None:
+    def __init__(
+        self, scenario: Scenario, robot_id: str, incarnation: int = 1, parts: Parts = BUILTIN
+    ) -> None:
         robot = _find(scenario, robot_id)
         model, layer = scenario.model_of(robot), scenario.placement.robot_from
         capabilities = capabilities_of(scenario, robot)
@@ -60,7 +64,7 @@ class RobotAgent:
         self._drive_timeout_s = model.drive_timeout_s
         self._motion_stale = _stale_after(topics.motion(robot_id), capabilities.motion_hz)
         self._wheels = dead_reckoning.wheels_of(model)
-        self._pipeline = Pipeline(onboard_layers(layer), robot.control_point_m, scenario.avoidance)
+        self._pipeline = Pipeline(onboard_layers(layer), scenario, robot, parts)
         self._sensing = RangeSensing(_stale_after(topics.scan(robot_id), capabilities.scan_hz))
         self._orders = Orders(layer, incarnation)
         self._reckoning = dead_reckoning.Reckoning()
@@ -68,6 +72,7 @@ class RobotAgent:
         self._motion_at: Time = 0
         self._mode: Mode = "waiting"
         self._sent = _STANDING
+        self._wanted = _STANDING
         self._verdict: guard.Reason = "none"
         self._applied: Stamp | None = None
         self._oldest_s = -1.0
@@ -168,18 +173,21 @@ class RobotAgent:
         if command is None:
             return self._stand()
         seen = self._sensing.latest(now)
-        wanted = self._pipeline.step(command.values, pose.psi, seen, dt_s)
+        measured = Velocity(self._reckoning.u, self._reckoning.w)
+        wanted = self._pipeline.step(
+            (*command.values, command.third), pose.psi, seen, measured, dt_s, self._wanted == self._sent
+        )
+        self._wanted = wanted
         if not modes.MOVES[self._mode]:
             return self._stand("blind" if self._blind(now) else "none")
         if self._guard.clearance:
             seen = self._sensing.around(pose, now)
-        measured = Velocity(self._reckoning.u, self._reckoning.w)
-        u, w, self._verdict = guard.step(
+        self._sent, self._verdict = guard.step(
             self._guard, self._limits, self._sent, wanted, age_s, seen, dt_s, measured
         )
-        self._sent = Velocity(u, w)
+        u, w, v = self._sent
         self._applied = self._orders.stamp()
-        return Outgoing(self._drive, Drive(u_mps=u, w_radps=w, active=True))
+        return Outgoing(self._drive, Drive(u_mps=u, w_radps=w, v_mps=v, active=True))
 
     def _stand(self, verdict: guard.Reason = "none") -> Outgoing:
         self._sent, self._verdict = _STANDING, verdict
@@ -197,6 +205,8 @@ class RobotAgent:
         return 0.0
 
     def _next_mode(self, age_s: float, now: Time) -> Mode:
+        if self._pipeline.fault:
+            return modes.TRANSITIONS[self._mode, "layer_failed"]
         event = self._driver_event(now)
         mode = modes.TRANSITIONS[self._mode, event]
         if event != "driver_active" or self._orders.command is None:
@@ -228,6 +238,7 @@ class RobotAgent:
             driver="closed" if motion is None else motion.state,
             reason=self._reason(age_s, now),
             counters={**self._host_counters, **self._counted},
+            compensation=self._pipeline.compensation,
         )
         self._oldest_s = -1.0
         return Outgoing(self._status, status)
@@ -236,6 +247,8 @@ class RobotAgent:
         """Why the robot is not tracking, for people."""
         if self._mode in ("tracking", "stopped"):
             return "" if self._mode == "tracking" else "told to stop"
+        if self._pipeline.fault:
+            return self._pipeline.fault
         event, motion = self._driver_event(now), self._motion
         if motion is None:
             return "no word from the drive yet"

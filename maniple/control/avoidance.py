@@ -12,9 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from maniple.control.limits import Velocity
+from maniple.control.parts import refuse_options
 from maniple.control.returns import Returns
 from maniple.core.geometry import Floats
-from maniple.core.scenario.types import Avoidance, Impedance
+from maniple.core.scenario.types import Avoidance, Impedance, RobotModel
 
 
 class Force(NamedTuple):
@@ -49,6 +51,26 @@ REST = AvoidanceState()
 
 _FRONT = np.array([-0.5 * math.pi, math.nextafter(0.5 * math.pi, math.inf)])
 """Both ends of what counts, [-90, 90] degrees, as `searchsorted` needs them."""
+
+
+class Impedances:
+    """The layer "impedance": what is wanted minus u_cor and plus w_cor, eqs. (11) and (12)."""
+
+    def __init__(self, parameters: Avoidance, _model: RobotModel) -> None:
+        refuse_options(parameters.options)
+        self._parameters = parameters
+        self._state = REST
+        self._returns: Returns | None = None
+        self._sides = CALM
+
+    def step(self, wanted: Velocity, returns: Returns | None, dt_s: float) -> Velocity:
+        """See `AvoidanceLaw`. While nothing is known the corrections fade."""
+        if returns is not self._returns:
+            self._returns = returns
+            self._sides = CALM if returns is None else forces(self._parameters, returns)
+        self._state = step(self._parameters, self._state, self._sides, dt_s)
+        u, w, v = wanted
+        return Velocity(u - self._state.u_cor, w + self._state.w_cor, v)
 
 
 def force(parameters: Avoidance, distance: float) -> float:

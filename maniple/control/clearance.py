@@ -14,6 +14,9 @@ margin:
   at most. gamma is at most 1 / (3 T), the most that a loop of delay T follows without overshoot. What is
   abeam does not limit, for u does not approach it.
 
+A return of a wide beam may come from anywhere across it: it counts as half of the opening angle nearer to
+where the robot goes than its axis.
+
 So the disc without its margin touches nothing that stands still and has been seen, in whatever direction
 the robot goes, if the drive brakes and follows no slower than its model says and goes no faster than it,
 and if odometry and ranges are no older than their periods. Half of the margin is for what they are off by;
@@ -30,7 +33,7 @@ import numpy as np
 
 from maniple.control.limits import Limits, Velocity
 from maniple.control.returns import Returns
-from maniple.core.geometry import Floats
+from maniple.core.geometry import Floats, wrap_array
 from maniple.core.scenario.types import Guard
 
 
@@ -48,14 +51,15 @@ def clear_speed(
     limits: Limits,
     wanted: Velocity,
     measured: Velocity,
-    ahead: bool,
+    direction: float,
     returns: Returns,
     dt_s: float,
 ) -> ClearSpeed:
-    """What the clearance rules allow of `wanted`, ahead or backwards; `measured` is how the robot moves.
+    """What the clearance rules allow of `wanted` in a direction of the robot's frame (rad): 0 is ahead, pi
+    backwards. `measured` is how the robot moves.
 
-    Both count in that direction, and turns either way: nothing is negative. `dt_s` is how long a command
-    lasts.
+    The speeds u of both count in that direction, and turns either way: nothing is negative. `dt_s` is how
+    long a command lasts.
     """
     brake, lag = limits.brake, limits.u_lag_s
     speed, rolling = wanted.u, measured.u / limits.gain
@@ -69,9 +73,9 @@ def clear_speed(
     turn = limits.gain * (wanted.w * blind_s + 0.5 * wanted.w * wanted.w / limits.w_accel)
     turn += limits.w_lag_s * max(limits.gain * wanted.w, measured.w)
     room = (returns.distance[near] - keep) / limits.gain
-    off = np.abs(returns.bearing[near])
-    if not ahead:
-        off = math.pi - off
+    off = np.abs(wrap_array(returns.bearing[near] - direction) if direction else returns.bearing[near])
+    if returns.half_cone:
+        off = np.maximum(off - returns.half_cone, 0.0)
     left = _way_until(room, off)
     comfortable = min(gamma * (left - lag * rolling), gamma * left / (1.0 + gamma * lag))
     left = _way_until(room + 0.5 * parameters.margin_m / limits.gain, np.maximum(off - turn, 0.0))

@@ -14,15 +14,13 @@ Reason: TypeAlias = Literal["none", "age", "speed", "acceleration", "clearance",
 
 _STILL_M = 1e-3
 """A robot that rolls on for less than this stands."""
+_STAND = Velocity()
 
 
 class Verdict(NamedTuple):
     """What may be sent to the drive."""
 
-    u: float
-    """m/s."""
-    w: float
-    """rad/s."""
+    velocity: Velocity
     reason: Reason
 
 
@@ -30,41 +28,48 @@ def step(
     parameters: Guard,
     limits: Limits,
     state: Velocity,
-    command: tuple[float, float] | None,
+    command: Velocity | None,
     age_s: float,
     returns: Returns | None,
     dt_s: float,
     measured: Velocity,
 ) -> Verdict:
-    """What of `command` (u m/s, w rad/s) may be done, `dt_s` after `state` was sent.
+    """What of `command` may be done, `dt_s` after `state` was sent.
 
     `command` is None where there is none; `age_s` is the age of what it was computed from; `returns` are
     what the robot senses now, None where that is not known. `state` is within the limits; `measured` is how
     the robot really moves.
     """
     reason: Reason = "none"
-    u, w = command if command is not None else (0.0, 0.0)
+    u, w, v = command if command is not None else _STAND
     if command is None or age_s >= limits.stop_s:
-        u, w, reason = 0.0, 0.0, "age"
+        u, w, v, reason = 0.0, 0.0, 0.0, "age"
     elif age_s > limits.hold_s:
         share = (limits.stop_s - age_s) / (limits.stop_s - limits.hold_s)
-        u, w, reason = u * share, w * share, "age"
+        u, w, v, reason = u * share, w * share, v * share, "age"
     if limits.needs_ranges and returns is None:
-        u, w, reason = 0.0, 0.0, "blind"
-    if not (limits.u_min <= u <= limits.u_max and abs(w) <= limits.w_max):
-        u = _clip(u, limits.u_min, limits.u_max)
-        w = _clip(w, -limits.w_max, limits.w_max)
+        u, w, v, reason = 0.0, 0.0, 0.0, "blind"
+    u_able = _clip(u, limits.u_min, limits.u_max)
+    w_able = _steered(limits, u_able, _clip(w, -limits.w_max, limits.w_max))
+    able = Velocity(u_able, w_able, _clip(v, -limits.v_max, limits.v_max))
+    if able != (u, w, v):
         reason = "speed"
-    w_now = _ramp(state.w, w, limits.w_accel, limits.w_accel, dt_s)
-    u_now = _ramp(state.u, u, limits.u_accel, limits.brake, dt_s)
-    if reason != "blind" and (u_now != u or w_now != w):
+    sent = _ramped(limits, state, able, dt_s)
+    if reason != "blind" and sent != able:
         reason = "acceleration"
-    verdict = Verdict(u_now, w_now, reason)
+    verdict = Verdict(sent, reason)
     if not parameters.clearance or returns is None:
         return verdict
-    for ahead in (True, False):
-        verdict = _cleared(parameters, limits, state, verdict, returns, dt_s, measured, ahead)
-    return verdict
+    if limits.v_max and returns.sees_ahead and returns.sees_behind:
+        verdict = _cleared_around(parameters, limits, state, verdict, returns, dt_s, measured)
+    else:
+        if sent.v:
+            v = _ramped(limits, state, sent._replace(v=0.0), dt_s).v
+            verdict = Verdict(sent._replace(v=v), "blind")
+        for ahead in (True, False):
+            verdict = _cleared(parameters, limits, state, verdict, returns, dt_s, measured, ahead)
+    (u, w, v), reason = verdict
+    return Verdict(Velocity(u, _steered(limits, u, w), v), reason)
 
 
 def _cleared(
@@ -78,7 +83,7 @@ def _cleared(
     ahead: bool,
 ) -> Verdict:
     """What of `wanted` the clearance rules leave, as far as the robot goes or still rolls that way."""
-    u, w, reason = wanted
+    (u, w, v), reason = wanted
     going, rolling = (u, measured.u) if ahead else (-u, -measured.u)
     rolls_on = rolling * limits.u_lag_s > _STILL_M
     if not (going > 0.0 or rolls_on):
@@ -86,16 +91,70 @@ def _cleared(
     if not (returns.sees_ahead if ahead else returns.sees_behind):
         if going <= 0.0:
             return wanted
-        return Verdict(_ramp(state.u, 0.0, limits.u_accel, limits.brake, dt_s), w, "blind")
+        return Verdict(Velocity(_ramp(state.u, 0.0, limits.u_accel, limits.brake, dt_s), w, v), "blind")
     heading = Velocity(max(going, 0.0), abs(w))
     wheels = Velocity(max(rolling, 0.0), abs(measured.w))
-    clear = clear_speed(parameters, limits, heading, wheels, ahead, returns, dt_s)
+    direction = 0.0 if ahead else math.pi
+    clear = clear_speed(parameters, limits, heading, wheels, direction, returns, dt_s)
     if going > (most := max(min(clear), 0.0)):
         u = _ramp(state.u, most if ahead else -most, limits.u_accel, limits.brake, dt_s)
         going, reason = abs(u), "clearance"
     if (going > 0.0 or rolls_on) and going > clear.stoppable:
         w, reason = _ramp(state.w, 0.0, limits.w_accel, limits.w_accel, dt_s), "clearance"
-    return Verdict(u, w, reason)
+    return Verdict(Velocity(u, w, v), reason)
+
+
+def _cleared_around(
+    parameters: Guard,
+    limits: Limits,
+    state: Velocity,
+    wanted: Verdict,
+    returns: Returns,
+    dt_s: float,
+    measured: Velocity,
+) -> Verdict:
+    """What of `wanted` the clearance rules leave a robot that moves any way and sees all around: applied in
+    the direction it still rolls, and in the one it goes. What is too fast is taken off in that direction."""
+    for rolled in (True, False):
+        (u, w, v), _ = wanted
+        axis = (measured.u, measured.v) if rolled else (u, v)
+        length = math.hypot(*axis)
+        if length * (limits.u_lag_s if rolled else 1.0) <= (_STILL_M if rolled else 0.0):
+            continue
+        x, y = axis[0] / length, axis[1] / length
+        going, rolling = u * x + v * y, measured.u * x + measured.v * y
+        heading = Velocity(max(going, 0.0), abs(w))
+        wheels = Velocity(max(rolling, 0.0), abs(measured.w))
+        clear = clear_speed(parameters, limits, heading, wheels, math.atan2(y, x), returns, dt_s)
+        if (excess := going - max(min(clear), 0.0)) > 0.0:
+            slower = Velocity(u - excess * x, w, v - excess * y)
+            wanted = Verdict(_ramped(limits, state, slower, dt_s), "clearance")
+            going = wanted.velocity.u * x + wanted.velocity.v * y
+        if going > clear.stoppable:
+            w = _ramp(state.w, 0.0, limits.w_accel, limits.w_accel, dt_s)
+            wanted = Verdict(wanted.velocity._replace(w=w), "clearance")
+    return wanted
+
+
+def _ramped(limits: Limits, state: Velocity, target: Velocity, dt_s: float) -> Velocity:
+    """The nearest to `target` that is reached from `state` in `dt_s`, the steering following the speed."""
+    w = _ramp(state.w, target.w, limits.w_accel, limits.w_accel, dt_s)
+    if target.v == 0.0 == state.v:
+        u = _ramp(state.u, target.u, limits.u_accel, limits.brake, dt_s)
+        return Velocity(u, _steered(limits, u, w), 0.0)
+    du, dv = target.u - state.u, target.v - state.v
+    slower = math.hypot(target.u, target.v) < math.hypot(state.u, state.v)
+    most = (limits.brake if slower else limits.u_accel) * dt_s
+    share = most / change if (change := math.hypot(du, dv)) > most else 1.0
+    return Velocity(state.u + share * du, w, state.v + share * dv) if share < 1.0 else target._replace(w=w)
+
+
+def _steered(limits: Limits, u: float, w: float) -> float:
+    """The turning rate nearest to `w` that the robot can have at the speed `u`."""
+    if limits.curvature == math.inf:
+        return w
+    most = limits.curvature * abs(u)
+    return min(max(w, -most), most)
 
 
 def _clip(value: float, lowest: float, highest: float) -> float:

@@ -6,7 +6,7 @@ import math
 from typing import Protocol
 
 from maniple.control import unicycle
-from maniple.control.limits import Velocity
+from maniple.control.limits import Velocity, curvature_max
 from maniple.core.geometry import Pose
 from maniple.core.scenario.types import RobotModel
 
@@ -99,12 +99,3 @@ def kinematics_of(model: RobotModel, control_point_m: float) -> Kinematics:
     if model.drive == "car":
         return Car(control_point_m, curvature_max(model))
     return Differential(control_point_m)
-
-
-def curvature_max(model: RobotModel) -> float:
-    """The most a robot turns per metre it drives (1/m): tan(steer_max) / wheelbase of a car, else no limit."""
-    if model.drive != "car":
-        return math.inf
-    assert model.wheelbase_m is not None, "the scenario was checked"
-    assert model.steer_max_rad is not None, "the scenario was checked"
-    return math.tan(model.steer_max_rad) / model.wheelbase_m

@@ -3,8 +3,10 @@
 import math
 from typing import NamedTuple
 
-from maniple.control.pipeline import onboard_layers
-from maniple.core.scenario.types import Robot, Scenario
+from maniple.core.layers import onboard_layers
+from maniple.core.scenario import outline
+from maniple.core.scenario.places import fastest_mps
+from maniple.core.scenario.types import Robot, RobotModel, Scenario
 
 
 class Limits(NamedTuple):
@@ -38,6 +40,10 @@ class Limits(NamedTuple):
     """From this age of a command on it slows down."""
     stop_s: float
     """At this age it stands."""
+    v_max: float = 0.0
+    """m/s, sideways either way; 0 for a robot that can't."""
+    curvature: float = math.inf
+    """1/m, the most it turns for each metre it drives."""
 
 
 class Velocity(NamedTuple):
@@ -47,6 +53,8 @@ class Velocity(NamedTuple):
     """m/s."""
     w: float = 0.0
     """rad/s."""
+    v: float = 0.0
+    """Sideways to the left, of a robot that can, m/s."""
 
 
 def limits_of(scenario: Scenario, robot: Robot) -> Limits:
@@ -62,7 +70,7 @@ def limits_of(scenario: Scenario, robot: Robot) -> Limits:
         u_accel=model.u_accel_mps2,
         w_accel=model.w_accel_radps2,
         brake=model.brake_mps2,
-        radius=0.5 * math.hypot(model.length_m, model.width_m),
+        radius=outline.radius(model),
         gain=max(1.0, 1.0 / th4, 1.0 / th6),
         u_lag_s=th1 / th4,
         w_lag_s=th2 / th6,
@@ -70,7 +78,18 @@ def limits_of(scenario: Scenario, robot: Robot) -> Limits:
         needs_ranges=scenario.guard.clearance or (avoids and scenario.avoidance.enabled),
         hold_s=hold_s,
         stop_s=stop_s,
+        v_max=model.v_max_mps or 0.0,
+        curvature=curvature_max(model),
     )
+
+
+def curvature_max(model: RobotModel) -> float:
+    """The most a robot turns per metre it drives (1/m): tan(steer_max) / wheelbase of a car, or infinite."""
+    if model.drive != "car":
+        return math.inf
+    assert model.wheelbase_m is not None, "the scenario was checked"
+    assert model.steer_max_rad is not None, "the scenario was checked"
+    return math.tan(model.steer_max_rad) / model.wheelbase_m
 
 
 def age_limits(scenario: Scenario, robot: Robot) -> tuple[float, float]:
@@ -96,7 +115,7 @@ def age_limits(scenario: Scenario, robot: Robot) -> tuple[float, float]:
             tolerated = 0.8 * math.pi / (2.0 * _planar(gains.kappa))
         else:
             theta = scenario.model_of(robot).theta
-            speed = max(scenario.task.speed_mps, _planar(gains.saturation))
+            speed = max(fastest_mps(scenario.task), _planar(gains.saturation))
             tolerated = 0.5 * math.pi * robot.control_point_m / speed - theta[0] / theta[3]
         stop = max(tolerated, 3.0 / scenario.rates.control_hz)
     return min(law.hold_after_s if law.hold_after_s is not None else 0.5 * stop, stop), stop

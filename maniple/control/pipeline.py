@@ -1,56 +1,103 @@
-"""The layers of one robot in their order, and where the scenario cuts them between controller and robot."""
+"""The layers of one robot in their order, with their state."""
 
+import math
 from collections.abc import Sequence
 
-from maniple.control import avoidance, unicycle
+from maniple.control.builtin import BUILTIN
+from maniple.control.kinematics import Kinematics
+from maniple.control.limits import Velocity
+from maniple.control.parts import AvoidanceLaw, CompensationLaw, Parts, chosen, made
 from maniple.control.returns import Returns
-from maniple.core.layers import Layer
-from maniple.core.scenario.types import Avoidance
+from maniple.core.layers import PIPELINE, Layer, central_layers, onboard_layers
+from maniple.core.scenario.types import Robot, Scenario
 
-PIPELINE: tuple[Layer, ...] = ("kinematics", "avoidance", "compensation", "drive")
-"""From the control point's velocity to the wheels."""
+__all__ = ["PIPELINE", "Pipeline", "central_layers", "onboard_layers"]
 
-
-def central_layers(robot_from: Layer) -> tuple[Layer, ...]:
-    """The layers the controller runs: those before the cut."""
-    return PIPELINE[: PIPELINE.index(robot_from)]
-
-
-def onboard_layers(robot_from: Layer) -> tuple[Layer, ...]:
-    """The layers the robot runs: those from the cut on."""
-    return PIPELINE[PIPELINE.index(robot_from) :]
+_STANDING = Velocity()
 
 
 class Pipeline:
-    """A run of layers of one robot, with their state. A layer that is not among `layers` is left out.
+    """A run of layers of one robot of a resolved scenario. A layer that is not among `layers`, or that the
+    scenario switches off, passes values on; "drive" is the robot's drive itself.
 
-    Of `PIPELINE`, "drive" is the robot's drive itself and "compensation" has no law; both pass values on.
+    A layer that raises, or gives anything but three finite numbers, ends the pipeline: from then on it gives
+    zero, and `fault` says why.
+
+    Raises:
+        ScenarioError: the scenario names a layer that is not among `parts`, or one that refuses its options.
     """
 
-    def __init__(self, layers: Sequence[Layer], control_point_m: float, parameters: Avoidance) -> None:
-        self._kinematics = "kinematics" in layers
-        self._avoidance = "avoidance" in layers and parameters.enabled
-        self._control_point = control_point_m
-        self._parameters = parameters
-        self._state = avoidance.REST
-        self._returns: Returns | None = None
-        self._sides = avoidance.CALM
+    def __init__(
+        self, layers: Sequence[Layer], scenario: Scenario, robot: Robot, parts: Parts = BUILTIN
+    ) -> None:
+        model = scenario.model_of(robot)
+        self.fault = ""
+        """Why the pipeline has ended; empty while it has not."""
+        self._kinematics: Kinematics | None = None
+        self._avoidance: AvoidanceLaw | None = None
+        self._compensation: CompensationLaw | None = None
+        if "kinematics" in layers:
+            path = f"models.{robot.model}.kinematics"
+            kind = chosen(parts.kinematics, model.kinematics, path)
+            self._kinematics = made(path, kind, model, robot.control_point_m)
+        if "avoidance" in layers and scenario.avoidance.enabled:
+            avoid = chosen(parts.avoidance, scenario.avoidance.law, "avoidance.law")
+            self._avoidance = made("avoidance", avoid, scenario.avoidance, model)
+        if "compensation" in layers and scenario.compensation.enabled:
+            compensate = chosen(parts.compensation, scenario.compensation.law, "compensation.law")
+            self._compensation = made("compensation", compensate, scenario.compensation, model)
+
+    @property
+    def compensation(self) -> tuple[float, ...]:
+        """What the compensation has learnt of the drive; empty without one."""
+        return () if self._compensation is None or self.fault else self._compensation.parameters
 
     def step(
-        self, values: tuple[float, float], psi: float, returns: Returns | None, dt_s: float
-    ) -> tuple[float, float]:
+        self,
+        values: tuple[float, float, float],
+        psi: float,
+        returns: Returns | None,
+        measured: Velocity,
+        dt_s: float,
+        free: bool = True,
+    ) -> Velocity:
         """What the layers make of `values`.
 
-        `values` is what the layer before the first one left: the velocity (m/s) of the control point in
-        the frame the heading `psi` (rad) is given in where "kinematics" is among the layers, else
-        (u m/s, w rad/s). `returns` is what the robot senses now, None for nothing known; `dt_s` is the
-        time since the step before. Returns (u, w).
+        `values` is what the layer before the first one left: where "kinematics" is among the layers, the
+        velocity (vx, vy m/s) of the control point in the frame the heading `psi` (rad) is given in, and the
+        turning rate (rad/s) of the formation; else (u m/s, w rad/s, v m/s). `returns` is what the robot
+        senses now, None for nothing known; `measured` is its velocity by odometry; `free` says that the
+        drive was told what the step before gave; `dt_s` is the time since then.
         """
-        u, w = unicycle.inverse(psi, self._control_point, *values) if self._kinematics else values
-        if not self._avoidance:
-            return u, w
-        if returns is not self._returns:
-            self._returns = returns
-            self._sides = avoidance.CALM if returns is None else avoidance.forces(self._parameters, returns)
-        self._state = avoidance.step(self._parameters, self._state, self._sides, dt_s)
-        return u - self._state.u_cor, w + self._state.w_cor
+        if self.fault:
+            return _STANDING
+        layer = "kinematics"
+        try:
+            velocity = Velocity(*values)
+            if self._kinematics is not None:
+                velocity = sound(self._kinematics.inverse(psi, *values))
+            if self._avoidance is not None:
+                layer = "avoidance"
+                velocity = sound(self._avoidance.step(velocity, returns, dt_s))
+            if self._compensation is not None:
+                layer = "compensation"
+                velocity = sound(self._compensation.step(velocity, measured, free, dt_s))
+        except Exception as error:  # noqa: BLE001 - a user's layer may raise anything
+            self.fault = f"{layer} failed: {type(error).__name__}: {error}"
+            return _STANDING
+        return velocity
+
+
+def sound(velocity: Velocity) -> Velocity:
+    """What a layer gave, as a velocity of plain numbers.
+
+    Raises:
+        ValueError: it is not three finite numbers.
+    """
+    try:
+        u, w, v = map(float, velocity)
+    except (TypeError, ValueError):
+        raise ValueError(f"gave {velocity!r}; must be three numbers") from None
+    if not math.isfinite(u + w + v) and not all(map(math.isfinite, (u, w, v))):
+        raise ValueError(f"gave u = {u}, w = {w}, v = {v}; must be finite")
+    return Velocity(u, w, v)
