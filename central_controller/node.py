@@ -4,29 +4,49 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, TypeAlias
 
 import numpy as np
+from msgspec.structs import replace
 
 from central_controller import formation
-from central_controller.chain import Chain
-from central_controller.formation import Correction, Gains
-from central_controller.reference import REST, Reference, duration_s, reference
+from central_controller.formation import Gains
+from central_controller.lineup import Lineup
+from central_controller.mission import Mission, from_here
+from central_controller.planning import METHODS
+from central_controller.reference import Reference, within
 from central_controller.roster import Member, Roster, View
+from central_controller.waiting import rate
+from maniple.control.builtin import BUILTIN
+from maniple.control.limits import Velocity
+from maniple.control.parts import Parts, chosen
 from maniple.control.pipeline import Pipeline, central_layers
 from maniple.core import topics
-from maniple.core.messages import Alive, Command, FormationState, Phase, Refused, pack_floats
+from maniple.core.geometry import Floats, Pose
+from maniple.core.messages import Alive, Command, FormationState, Goal, Phase, Refused, pack_floats
 from maniple.core.node import Outgoing, Received
-from maniple.core.scenario.types import Scenario
+from maniple.core.scenario.check import problems
+from maniple.core.scenario.shapes import pointed
+from maniple.core.scenario.types import Point, Scenario
 from maniple.core.time import SECOND, Duration, Time, from_seconds, period, to_seconds
 
-Event: TypeAlias = Literal["ready", "ended"]
-"""Every robot has been heard; the task time has come to its end."""
+Stage: TypeAlias = Literal["waiting", "forming", "running", "done"]
+"""What there is to do: wait for robots, build the formation, run the task, nothing more."""
 
-PHASES: Mapping[tuple[Phase, Event], Phase] = {
-    ("waiting", "ready"): "running",
+Event: TypeAlias = Literal["ready", "built", "ended", "new task"]
+"""Every robot has been heard; the formation is built; the task has come to its end; it gets another."""
+
+STAGES: Mapping[tuple[Stage, Event], Stage] = {
+    ("waiting", "ready"): "forming",
+    ("forming", "built"): "running",
     ("running", "ended"): "done",
+    ("done", "new task"): "running",
 }
-"""The phase after an event; an event that is not listed for a phase changes nothing."""
+"""The stage after an event; an event that is not listed for a stage changes nothing."""
 
 CONTROL = "control"
+
+STANDING = Velocity()
+
+LEAST = 3
+"""Robots that make a triangle."""
 
 _LONGEST_STEP: Duration = SECOND // 2
 """After a freeze the reference and the layers of the robots are advanced by no more than this."""
@@ -35,30 +55,37 @@ _LONGEST_STEP: Duration = SECOND // 2
 class CentralController:
     """Guides the platoon of a resolved scenario.
 
-    It waits until it has heard every robot, then runs the task, and from its end on holds the formation where
-    the reference ends. While any robot does not follow, the reference stands and the others hold their places
-    around it. Robots that have gone silent are still commanded: each command says how old what it was
-    computed from is, and the robot's own guard acts on that.
+    It waits until it has heard every robot, lets them build the formation, runs the task, and from its end on
+    holds the formation where the reference ends. While a robot does not follow, the reference stands and the
+    others hold their places around it; one that stays away is lost, and the others go on in a new chain of
+    triangles until it is back. Robots that have gone silent are still commanded until they are lost: each
+    command says how old what it was computed from is, and the robot's own guard acts on that.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, parts: Parts = BUILTIN) -> None:
         layers = central_layers(scenario.placement.robot_from)
+        planners = {**METHODS, **parts.planners}
+        self._scenario = scenario
+        self._parts = parts
+        self._layers = layers
         self._layer = scenario.placement.robot_from
         self._with_ranges = "avoidance" in layers and scenario.avoidance.enabled
-        self._task = scenario.task
-        self._duration = from_seconds(duration_s(scenario.task))
-        self._chain = Chain(scenario.formation.points, signed=scenario.controller.angle == "signed")
         self._gains = Gains.of(scenario.controller)
-        self._roster = Roster(scenario.robots)
-        self._pipelines = tuple(
-            Pipeline(layers, robot.control_point_m, scenario.avoidance) for robot in scenario.robots
-        )
+        self._roster = Roster(scenario.robots, scenario.controller.host)
+        self._lineup = Lineup(scenario, chosen(planners, scenario.planning.method, "planning.method"))
+        self._mission = Mission(scenario.task, scenario.controller)
+        self._lost_after = from_seconds(scenario.controller.lost_after_s)
+        self._pipelines = {robot.id: self._pipeline(robot.id) for robot in scenario.robots}
         self._timers = {CONTROL: period(scenario.rates.control_hz)}
         self._topics = _inputs(self._roster.members, self._with_ranges)
         self._members = {member.id: member for member in self._roster.members}
-        self._phase: Phase = "waiting"
-        self._task_time: Duration = 0
+        self._stage: Stage = "waiting"
+        self._told_to_hold = False
+        self._rate = 0.0
+        self._errors: Floats | None = None
+        self._notes: tuple[str, ...] = ()
         self._waits_for: tuple[str, ...] = ()
+        self._goal = self._goal_refused = ""
         self._refused = 0
         self._ticked: Time | None = None
 
@@ -70,7 +97,7 @@ class CentralController:
     @property
     def subscriptions(self) -> frozenset[str]:
         """Topics the node receives."""
-        return frozenset(self._topics) | {topics.HOST_ALIVE, topics.HOST_REFUSED}
+        return frozenset(self._topics) | {topics.FORMATION_GOAL, topics.HOST_ALIVE, topics.HOST_REFUSED}
 
     @property
     def timers(self) -> Mapping[str, Duration]:
@@ -79,100 +106,240 @@ class CentralController:
 
     def on_start(self, now: Time) -> list[Outgoing]:
         """Say that the platoon is waited for."""
-        return [self._state(self._reference(), b"", now)]
+        return [self._state(self._reference(), now)]
 
     def on_message(self, message: Received, now: Time) -> list[Outgoing]:
-        """Take in what a robot said, or who is alive."""
+        """Take in what a robot said, what an operator wants, or who is alive."""
         body = message.message
         if isinstance(body, Refused):
             self._refused += 1
-            return []
-        member = self._members.get(body.node) if isinstance(body, Alive) else self._topics[message.topic]
-        if member is not None:
-            member.heard(body, now)
+        elif isinstance(body, Goal):
+            self._take(body, now)
+        else:
+            member = self._members.get(body.node) if isinstance(body, Alive) else self._topics[message.topic]
+            if member is not None:
+                member.heard(body, now)
         return []
 
     def on_timer(self, timer: str, now: Time) -> list[Outgoing]:
-        """One tick of the formation law: a command to every robot while running and after, and the state."""
+        """One tick: a command to every robot of the chain once the task has begun, and the state."""
         if timer != CONTROL:
             return []
         elapsed = 0 if self._ticked is None else min(now - self._ticked, _LONGEST_STEP)
         self._ticked = now
-        self._advance(elapsed, now)
-        target = self._reference()
-        views = self._roster.views(now)
-        if views is None:
-            return [self._state(target, b"", now)]
-        positions = np.array([view.point for view in views])
-        desired = self._chain.desired(target.pose, target.velocity)
-        correction = formation.step(self._chain, self._gains, positions, desired)
-        state = self._state(target, pack_floats(correction.errors), now)
-        if self._phase == "waiting":
-            return [state]
-        return [*self._commands(views, correction, to_seconds(elapsed), now), state]
+        if self._stage == "waiting":
+            if self._roster.ready(now, self._with_ranges):
+                self._begin(now)
+                elapsed = 0
+        elif self._roster.review(self._lost_after, now):
+            self._reorganise()
+        self._waits_for = self._roster.waited_for(now)
+        views = self._views(now)
+        if self._stage == "waiting" or not self._enough or self._broken:
+            self._errors, self._notes = None, ()
+            return [*self._stand(views), self._state(self._reference(), now)]
+        return self._guide(views, elapsed, now)
 
     def on_stop(self, now: Time) -> list[Outgoing]:
         """Tell every robot that was commanded to stand still."""
-        views = self._roster.views(now)
-        if views is None or self._phase == "waiting":
-            return []
-        oldest = max(view.age for view in views)
-        return [
-            self._command(member, view, (0.0, 0.0), oldest)
-            for member, view in zip(self._roster.members, views, strict=True)
-        ]
+        return [] if self._stage == "waiting" else self._stand(self._views(now))
 
-    def _advance(self, elapsed: Duration, now: Time) -> None:
-        """Let the phase and the task time follow what has happened."""
-        self._waits_for = self._roster.waited_for(now)
-        if self._phase == "running" and not self._waits_for:
-            self._task_time = min(self._task_time + elapsed, self._duration)
-        event = self._event(now)
-        if event == "ready" and self._phase == "waiting":
-            self._roster.locate()
-        if event is not None:
-            self._phase = PHASES.get((self._phase, event), self._phase)
+    @property
+    def _enough(self) -> bool:
+        return len(self._roster.active) >= LEAST
 
-    def _event(self, now: Time) -> Event | None:
-        if self._phase == "waiting":
-            return "ready" if self._roster.ready(now, self._with_ranges) else None
-        return "ended" if self._task_time >= self._duration else None
+    @property
+    def _phase(self) -> Phase:
+        held = self._stage in ("forming", "running") and self._reason
+        return "holding" if held else self._stage
+
+    @property
+    def _reason(self) -> str:
+        """Why the platoon holds; empty while it does not."""
+        if (left := len(self._roster.active)) < LEAST:
+            return f"{left} robots are left; a formation needs {LEAST}"
+        if faults := [f"{name}: {self._pipelines[name].fault}" for name in self._broken]:
+            return "; ".join(faults)
+        return "told to hold" if self._told_to_hold else ""
+
+    @property
+    def _broken(self) -> list[str]:
+        """The robots with a layer that has failed."""
+        return [name for name, pipeline in self._pipelines.items() if pipeline.fault]
+
+    def _begin(self, now: Time) -> None:
+        """Everybody is there: say who goes where."""
+        self._roster.locate()
+        planning = self._scenario.planning
+        points = self._own_points(now)
+        self._lineup.plan(points)
+        self._happened("ready")
+        if planning.build == "straight":
+            self._lineup.build(points, planning.speed_mps)
+        elif planning.build == "off":
+            self._happened("built")
+
+    def _reorganise(self) -> None:
+        """Robots were lost or came back: a new chain over those that are there."""
+        there = [member.id for member in self._roster.active]
+        for name in there:
+            if name not in self._lineup.robots:
+                self._pipelines[name] = self._pipeline(name)
+        self._lineup.chain_up(there)
+
+    def _guide(self, views: Mapping[str, View], elapsed: Duration, now: Time) -> list[Outgoing]:
+        """The formation law, and what the central layers make of it."""
+        robots = self._lineup.robots
+        positions = np.array([views[name].point for name in robots])
+        self._advance(elapsed, positions)
+        target = self._reference()
+        desired = self._lineup.desired(target, positions)
+        correction = formation.step(self._lineup.chain, self._gains, positions, desired)
+        self._errors = correction.errors
+        out = []
+        oldest = max(views[name].age for name in robots)
+        for name, (vx, vy) in zip(robots, correction.velocities.tolist(), strict=True):
+            member, view = self._members[name], views[name]
+            wanted = (*member.mounting.velocity_in_own(vx, vy), target.velocity[2])
+            told = self._pipelines[name].step(
+                wanted, view.heading, member.returns, view.velocity, to_seconds(elapsed)
+            )
+            age = max(oldest, member.returns_age(now)) if self._with_ranges else oldest
+            out.append(self._command(name, view, told, age))
+        return [*out, self._state(target, now)]
+
+    def _advance(self, elapsed: Duration, positions: Floats) -> None:
+        """Let the build-up or the task go on by a tick, if everybody follows."""
+        goes = not (self._waits_for or self._told_to_hold)
+        self._rate = 0.0
+        if goes:
+            self._lineup.advance(to_seconds(elapsed))
+        if self._stage == "forming":
+            if not self._lineup.building and self._built():
+                self._happened("built")
+        elif self._stage == "running" and goes:
+            self._rate = rate(self._scenario.waiting, self._farthest(positions))
+            self._mission.advance(elapsed, self._rate, self._errors)
+            if self._mission.ended:
+                self._rate = 0.0
+                self._happened("ended")
+
+    def _built(self) -> bool:
+        planning = self._scenario.planning
+        return self._errors is not None and within(self._errors, planning.tolerance_m, planning.tolerance_rad)
+
+    def _happened(self, event: Event) -> None:
+        self._stage = STAGES.get((self._stage, event), self._stage)
+
+    def _farthest(self, positions: Floats) -> float:
+        """How far the robot is from its place that is the farthest, m."""
+        pose = self._reference().pose
+        places = np.array([pose.compose(Pose(x, y, 0.0))[:2] for x, y in self._lineup.points.tolist()])
+        return float(np.hypot(*(positions - places).T).max())
 
     def _reference(self) -> Reference:
-        """Where the desired formation is; it moves only while the task runs and everybody follows."""
-        target = reference(self._task, to_seconds(self._task_time))
-        moves = self._phase == "running" and not self._waits_for
-        return target if moves else target._replace(velocity=REST)
+        """Where the desired formation is, in the platoon's frame; it moves only while the task goes on."""
+        pose, (vx, vy, turning) = self._mission.reference(self._rate)
+        frame = self._roster.frame.inverse()
+        return Reference(frame.compose(pose), (*frame.rotate(vx, vy), turning))
 
-    def _commands(self, views: list[View], correction: Correction, dt_s: float, now: Time) -> list[Outgoing]:
-        """What the central layers make of the velocities of the control points."""
-        oldest = max(view.age for view in views)
-        out = []
-        for member, pipeline, view, (vx, vy) in zip(
-            self._roster.members, self._pipelines, views, correction.velocities.tolist(), strict=True
-        ):
-            wanted = member.mounting.velocity_in_own(vx, vy)
-            values = pipeline.step(wanted, view.heading, member.returns, dt_s)
-            age = max(oldest, member.returns_age(now)) if self._with_ranges else oldest
-            out.append(self._command(member, view, values, age))
-        return out
+    def _own_points(self, now: Time) -> dict[str, Point]:
+        """The control points of all robots that are there, in the desired formation's own frame."""
+        frame = self._reference().pose.inverse()
+        points = {}
+        for member in self._roster.active:
+            view = member.view(now)
+            assert view is not None, "nobody plans before everybody was heard"
+            x, y, _ = frame.compose(Pose(*view.point, 0.0))
+            points[member.id] = (x, y)
+        return points
 
-    def _command(self, member: Member, view: View, values: tuple[float, float], age: Duration) -> Outgoing:
-        command = Command(layer=self._layer, values=values, answers=view.answers, inputs_age_ns=age)
-        return Outgoing(topics.command(member.id), command)
+    def _take(self, goal: Goal, now: Time) -> None:
+        """Do what the operator wants, or say why not. The latched goal comes again to whoever asks."""
+        if goal.id == self._goal:
+            return
+        self._goal, self._goal_refused = goal.id, ""
+        scenario = self._scenario
+        if goal.task is not None:
+            scenario = replace(scenario, task=goal.task)
+        if goal.formation is not None:
+            scenario = replace(scenario, formation=pointed(goal.formation, len(scenario.robots)))
+        if found := problems(scenario):
+            self._goal_refused = "; ".join(found)
+            return
+        if goal.hold is not None:
+            self._told_to_hold = goal.hold
+        if goal.formation is not None:
+            self._reshape(scenario.formation.points, now)
+        if goal.task is not None:
+            self._retask(scenario)
+        self._scenario = scenario
 
-    def _state(self, target: Reference, errors: bytes, now: Time) -> Outgoing:
+    def _reshape(self, points: Sequence[Point], now: Time) -> None:
+        """Take a new shape on, on the way."""
+        self._lineup.set_points(points)
+        if self._stage == "waiting":
+            return
+        here = self._own_points(now)
+        self._lineup.plan(here)
+        if self._enough:
+            self._lineup.build(here, self._scenario.planning.speed_mps)
+
+    def _retask(self, scenario: Scenario) -> None:
+        """Begin another task, from where the reference is."""
+        if self._stage == "waiting":
+            self._mission = Mission(scenario.task, scenario.controller)
+            return
+        pose = self._mission.reference(0.0).pose
+        speed, reach = scenario.planning.speed_mps, self._lineup.reach_m
+        self._mission = Mission(from_here(scenario.task, pose, speed, reach), scenario.controller)
+        self._happened("new task")
+
+    def _views(self, now: Time) -> dict[str, View]:
+        """Every robot that is there as the law sees it; those not heard yet are left out."""
+        views = {member.id: member.view(now) for member in self._roster.active}
+        return {name: view for name, view in views.items() if view is not None}
+
+    def _stand(self, views: Mapping[str, View]) -> list[Outgoing]:
+        """Tell the robots of the chain to stand, once they were told to go."""
+        if self._stage == "waiting":
+            return []
+        oldest = max((view.age for view in views.values()), default=0)
+        return [self._command(name, view, STANDING, oldest) for name, view in views.items()]
+
+    def _command(self, name: str, view: View, told: Velocity, age: Duration) -> Outgoing:
+        command = Command(
+            layer=self._layer, values=told[:2], third=told[2], answers=view.answers, inputs_age_ns=age
+        )
+        return Outgoing(topics.command(name), command)
+
+    def _pipeline(self, name: str) -> Pipeline:
+        robot = next(robot for robot in self._scenario.robots if robot.id == name)
+        return Pipeline(self._layers, self._scenario, robot, self._parts)
+
+    def _state(self, target: Reference, now: Time) -> Outgoing:
+        lineup, mission = self._lineup, self._mission
         state = FormationState(
             phase=self._phase,
-            task_time_s=to_seconds(self._task_time),
-            task_duration_s=to_seconds(self._duration),
+            task_time_s=mission.time_s,
+            task_duration_s=mission.course.total_s,
             reference=(target.pose.x, target.pose.y, target.pose.psi),
             reference_velocity=target.velocity,
-            chain=self._roster.ids,
-            errors=errors,
-            roster=self._roster.reports(now),
+            chain=lineup.robots,
+            errors=b"" if self._errors is None else pack_floats(self._errors),
+            roster=tuple(
+                member.report(now, self._pipelines[member.id].compensation) for member in self._roster.members
+            ),
             waits_for=self._waits_for,
             refused=self._refused,
+            frame=self._scenario.controller.host or "world",
+            points=lineup.packed(),
+            leg=mission.leg,
+            rate=self._rate,
+            reason=self._reason,
+            goal=self._goal,
+            goal_refused=self._goal_refused,
+            supervisor=self._notes,
         )
         return Outgoing(topics.FORMATION_STATE, state)
 

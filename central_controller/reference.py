@@ -71,11 +71,16 @@ class Course:
 
 
 def reached(positioning: Positioning, errors: Floats) -> bool:
+    """Whether the triangles with these errors, (m, 6), are where a leg of positioning wants them."""
+    return within(errors, positioning.tolerance_m, positioning.tolerance_rad)
+
+
+def within(errors: Floats, tolerance_m: float, tolerance_rad: float) -> bool:
     """Whether all errors (m, 6) of the triangles are within the tolerances: x, y, p and q in m, psi_F and
-    beta in rad."""
+    beta in rad; never without a triangle."""
     off = np.abs(np.asarray(errors, dtype=np.float64).reshape(-1, 6))
-    angles = off[:, [2, 5]] <= positioning.tolerance_rad
-    lengths = off[:, [0, 1, 3, 4]] <= positioning.tolerance_m
+    angles = off[:, [2, 5]] <= tolerance_rad
+    lengths = off[:, [0, 1, 3, 4]] <= tolerance_m
     return len(off) > 0 and bool(angles.all() and lengths.all())
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
 from central_controller.frames import Mounting, propagated
+from maniple.control.limits import Velocity
 from maniple.control.returns import Returns, returns_of
 from maniple.core import topics
 from maniple.core.geometry import Pose
@@ -12,8 +13,13 @@ from maniple.core.scenario.types import Robot
 from maniple.core.time import Duration, Time, from_seconds, to_seconds
 
 Presence: TypeAlias = Literal["absent", "present", "silent", "unlocalised"]
-"""Not there; there and heard; there, as far as known, and not heard for too long; or living anew since the
-task began, so that nobody knows where its odometry frame lies."""
+"""Not there; there and heard; there, as far as known, and not heard for too long; or living anew without
+knowing where its odometry frame lies."""
+
+WORLD = Pose(0.0, 0.0, 0.0)
+
+OUT_OF_CONTROL = ("fault", "stopped")
+"""Modes of an agent that won't do what it is told."""
 
 
 class View(NamedTuple):
@@ -27,23 +33,28 @@ class View(NamedTuple):
     """Of its odometry."""
     answers: Stamp
     """That odometry."""
+    velocity: Velocity
+    """By that odometry."""
 
 
 class Member:
     """One robot of the platoon and the last that was heard of it."""
 
-    def __init__(self, robot: Robot) -> None:
-        assert robot.pose is not None, "the scenario is resolved"
+    def __init__(self, robot: Robot, frame: Pose = WORLD) -> None:
         self.id = robot.id
-        self.mounting = Mounting(Pose(*robot.pose), robot.control_point_m)
+        self.mounting = Mounting(frame.inverse().compose(initial_pose(robot)), robot.control_point_m)
         self.odometry: Odometry | None = None
         self.returns: Returns | None = None
         self.mode = ""
+        self.lost = False
+        """Whether the others go on without it."""
         self._odometry_at: Time = 0
         self._returns_at: Time = 0
         self._alive = False
         self._incarnation = -1
         self._located: int | None = None
+        self._localised = True
+        self._unfit_since: Time | None = None
         self._stale_after = from_seconds(topics.topic(topics.odometry(robot.id)).stale_after_s)
 
     def heard(self, message: Message, now: Time) -> None:
@@ -57,6 +68,9 @@ class Member:
             self._returns_at = now
         elif isinstance(message, Status):
             self.mode = message.mode
+            self._localised = message.localised
+            if self._located is not None and message.localised:
+                self._located = max(self._located, message.incarnation)
         elif isinstance(message, Alive):
             self._life(message.node_incarnation, message.alive)
 
@@ -67,8 +81,8 @@ class Member:
             self._alive = alive
 
     def locate(self) -> None:
-        """From now on only the life whose odometry is known is believed: the initial pose in the scenario
-        says where its frame lies, and where the frame of a later one lies nobody knows."""
+        """From now on a life is believed whose odometry frame is known: the present one, which began at the
+        initial pose of the scenario, and a later one that says it has resumed that frame."""
         self._located = None if self.odometry is None else self.odometry.incarnation
 
     def odometry_age(self, now: Time) -> Duration | None:
@@ -83,19 +97,36 @@ class Member:
         """Whether it is there, and heard."""
         if not self._alive:
             return "absent"
-        if self._located not in (None, self._incarnation):
+        if self._located not in (None, self._incarnation) or not self._localised:
             return "unlocalised"
         age = self.odometry_age(now)
         return "silent" if age is None or age > self._stale_after else "present"
 
-    def report(self, now: Time) -> RobotReport:
+    def fit(self, now: Time) -> bool:
+        """Whether it can be told where to go: there, heard, and in control of its drive."""
+        return self.presence(now) == "present" and self.mode not in OUT_OF_CONTROL
+
+    def review(self, lost_after: Duration, anybody_fit: bool, now: Time) -> bool:
+        """Whether it has just been lost or come back. While nobody is fit nobody is lost: then it is the
+        network that is gone."""
+        if self.fit(now):
+            self._unfit_since = None
+        elif self._unfit_since is None or not anybody_fit:
+            self._unfit_since = now
+        unfit = self._unfit_since
+        lost = unfit is not None and (self.lost or now - unfit >= lost_after)
+        lost, self.lost = self.lost, lost
+        return lost != self.lost
+
+    def report(self, now: Time, compensation: tuple[float, ...] = ()) -> RobotReport:
         """What `formation/state` says of it."""
         age = self.odometry_age(now)
         return RobotReport(
             id=self.id,
-            state=self.presence(now),
+            state="lost" if self.lost else self.presence(now),
             odometry_age_s=-1.0 if age is None else to_seconds(age),
             mode=self.mode,
+            compensation=compensation,
         )
 
     def view(self, now: Time) -> View | None:
@@ -107,15 +138,22 @@ class Member:
         age = now - self._odometry_at
         own = propagated(odometry, to_seconds(min(age, self._stale_after)))
         answers = Stamp(odometry.incarnation, odometry.seq, odometry.stamp_ns)
-        return View(own.psi, self.mounting.point(own), age, answers)
+        velocity = Velocity(odometry.u_mps, odometry.w_radps, odometry.v_mps)
+        return View(own.psi, self.mounting.point(own), age, answers, velocity)
 
 
 class Roster:
-    """The platoon, in the order of the triangle chain."""
+    """The platoon in the order of the scenario. With `host`, everything is given in the odometry frame of the
+    robot of that name, else in the world's.
 
-    def __init__(self, robots: Sequence[Robot]) -> None:
-        self.members = tuple(Member(robot) for robot in robots)
-        self.ids = tuple(member.id for member in self.members)
+    `active` are those that are not lost.
+    """
+
+    def __init__(self, robots: Sequence[Robot], host: str | None = None) -> None:
+        self.frame = next((initial_pose(robot) for robot in robots if robot.id == host), WORLD)
+        """Of the platoon's frame in the world, m, m, rad."""
+        self.members = tuple(Member(robot, self.frame) for robot in robots)
+        self.active = self.members
 
     def ready(self, now: Time, with_ranges: bool) -> bool:
         """Whether every robot is there and is heard: its odometry and, if asked, what it senses."""
@@ -129,20 +167,25 @@ class Roster:
         for member in self.members:
             member.locate()
 
+    def review(self, lost_after: Duration, now: Time) -> bool:
+        """Whether a robot has just been lost or come back, so that the triangles need a new order."""
+        anybody = any(member.fit(now) for member in self.members)
+        changed = [member.review(lost_after, anybody, now) for member in self.members]
+        if not any(changed):
+            return False
+        self.active = tuple(member for member in self.members if not member.lost)
+        return True
+
     def waited_for(self, now: Time) -> tuple[str, ...]:
         """The robots that do not follow now: not heard, or not tracking by their own account."""
         return tuple(
             member.id
-            for member in self.members
+            for member in self.active
             if member.presence(now) != "present" or member.mode != "tracking"
         )
 
-    def views(self, now: Time) -> list[View] | None:
-        """Every robot as the law sees it, or None while one has not been heard."""
-        views = [member.view(now) for member in self.members]
-        known = [view for view in views if view is not None]
-        return known if len(known) == len(views) else None
 
-    def reports(self, now: Time) -> tuple[RobotReport, ...]:
-        """What is known of every robot."""
-        return tuple(member.report(now) for member in self.members)
+def initial_pose(robot: Robot) -> Pose:
+    """Of a robot of a resolved scenario: where its odometry frame lies in the world."""
+    assert robot.pose is not None, "the scenario is resolved"
+    return Pose(*robot.pose)

@@ -15,6 +15,7 @@ from maniple.core.node import Received
 from maniple.core.scenario.types import Avoidance, Formation, Line, Placement, Robot, Scenario
 from maniple.core.streams import stream
 from maniple.core.time import SECOND
+from tests.pioneer import PIONEER
 
 A = 0.2
 DT_S = 0.1
@@ -49,6 +50,7 @@ def scattered(n: int, robot_from: Layer) -> Scenario:
         task=Line(start=(0.0, 0.0), end=END, speed_mps=0.1, settle_s=40.0),
         avoidance=Avoidance(enabled=False),
         placement=Placement(robot_from=robot_from),
+        models={"pioneer-3dx": PIONEER},
     )
 
 
@@ -115,6 +117,7 @@ def test_a_robot_that_starts_on_the_other_side_changes_sides() -> None:
         task=scenario.task,
         avoidance=scenario.avoidance,
         placement=scenario.placement,
+        models=scenario.models,
     )
     points, _ = run(mirrored)
     end = Pose(*END, math.atan2(END[1], END[0]))

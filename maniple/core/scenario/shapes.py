@@ -11,10 +11,17 @@ import numpy as np
 
 from maniple.core.errors import ScenarioError
 from maniple.core.geometry import Floats
-from maniple.core.scenario.types import Point
+from maniple.core.scenario.types import Formation, Point
 
 LARGEST_STRIP = 15
 """Of a polygon with more corners the first triangle would be too flat to have its tip as R1."""
+
+
+def pointed(formation: Formation, n: int) -> Formation:
+    """The formation of `n` robots with its shape, if it is a named one, as points."""
+    if formation.shape is None or formation.points:
+        return formation
+    return Formation(points=points(formation.shape.kind, n, formation.shape.spacing_m))
 
 
 def points(kind: str, n: int, spacing_m: float) -> tuple[Point, ...]:

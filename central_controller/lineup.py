@@ -1,0 +1,115 @@
+"""Which robot is to be where: the places of the desired formation, who has which, and their chain."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from central_controller.chain import Chain, Desired
+from central_controller.planning import Straight, rechain, relabel
+from central_controller.reference import Reference
+from maniple.control.parts import Planner
+from maniple.core.geometry import Floats
+from maniple.core.messages import pack_floats
+from maniple.core.scenario.types import Point, Scenario
+
+
+class Lineup:
+    """The places of a formation and the chain of triangles over the robots that are there.
+
+    Every robot keeps its place while it is lost; `robots` is the chain's order of those that are not.
+    """
+
+    def __init__(self, scenario: Scenario, planner: Planner) -> None:
+        self._signed = scenario.controller.angle == "signed"
+        self._neighbours = scenario.controller.reference == "neighbours"
+        self._planner = planner
+        self._relabel = scenario.planning.relabel
+        self._ids = tuple(robot.id for robot in scenario.robots)
+        self._place_of: dict[str, int] = {}
+        self._building: Straight | None = None
+        self._elapsed_s = 0.0
+        self.set_points(scenario.formation.points)
+
+    @property
+    def building(self) -> bool:
+        """Whether the desired places are still on their way."""
+        return self._building is not None
+
+    @property
+    def places(self) -> Floats:
+        """Where the control points of `robots` are to be in the end, (k, 2) in m in the formation's frame."""
+        return self._targets
+
+    @property
+    def points(self) -> Floats:
+        """Where they are to be now, likewise."""
+        return self._targets if self._building is None else self._building.at(self._elapsed_s)[0]
+
+    @property
+    def reach_m(self) -> float:
+        """How far the outermost place is from the formation's origin."""
+        return float(np.hypot(*self._places.T).max())
+
+    def set_points(self, points: Sequence[Point]) -> None:
+        """A new shape, a place for every robot of the scenario; robot k takes place k until it is planned."""
+        places = np.array(points, dtype=np.float64)
+        self._places = places[list(relabel(places, self._signed))] if self._relabel else places
+        self._place_of = {name: place for place, name in enumerate(self._ids)}
+        self.chain_up(self._ids)
+
+    def plan(self, points: Mapping[str, Point]) -> None:
+        """Let the planner decide who of the robots whose control points are at `points`, in the formation's
+        frame, takes which of the places that are not kept for others."""
+        names = [name for name in self._ids if name in points]
+        places = sorted(self._place_of[name] for name in names)
+        order = self._planner(np.array([points[name] for name in names]), self._places[places])
+        for place, index in zip(places, order, strict=True):
+            self._place_of[names[index]] = place
+        self.chain_up(names)
+
+    def exchange(self, order: Sequence[int]) -> None:
+        """Let robot `order[k]` of the chain take the place of robot k."""
+        places = [self._place_of[name] for name in self.robots]
+        for place, index in zip(places, order, strict=True):
+            self._place_of[self.robots[index]] = place
+        self.chain_up(self.robots)
+
+    def chain_up(self, names: Sequence[str]) -> None:
+        """Make the chain of triangles over these robots, each at its place; at most two make none."""
+        robots = sorted(names, key=lambda name: self._place_of[name])
+        places = self._places[[self._place_of[name] for name in robots]]
+        if len(robots) >= 3:
+            order = rechain(places, self._signed)
+            robots, places = [robots[index] for index in order], places[list(order)]
+            self.chain = Chain(places, self._signed, self._neighbours)
+        self.robots = tuple(robots)
+        self._targets = places
+        self._building = None
+        self._packed = pack_floats(self.places)
+
+    def build(self, points: Mapping[str, Point], speed_mps: float) -> None:
+        """Let the desired places start at `points`, in the formation's frame, and go straight to where they
+        are to be, all arriving at once."""
+        start = np.array([points[name] for name in self.robots])
+        self._building = Straight(start, self.places, speed_mps)
+        self._elapsed_s = 0.0
+
+    def advance(self, elapsed_s: float) -> None:
+        """Let the desired places move on."""
+        if self._building is None:
+            return
+        self._elapsed_s += elapsed_s
+        if self._elapsed_s >= self._building.duration_s:
+            self._building = None
+
+    def packed(self) -> bytes:
+        """`points` as the wire has them."""
+        return self._packed if self._building is None else pack_floats(self.points)
+
+    def desired(self, target: Reference, positions: Floats) -> Desired:
+        """What the triangles are to be when the formation's frame follows `target` and the control points
+        are at `positions`, (k, 2)."""
+        if self._building is None:
+            return self.chain.desired(target.pose, target.velocity, positions)
+        points, velocities = self._building.at(self._elapsed_s)
+        return self.chain.deforming(points, velocities, target.pose, target.velocity, positions)
