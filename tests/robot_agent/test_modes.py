@@ -11,6 +11,7 @@ EVENTS = get_args(Event)
 
 EXPECTED = {
     # event:          waiting    tracking    holding    stopped    fault
+    "layer_failed": ("fault", "fault", "fault", "stopped", "fault"),
     "driver_lost": ("waiting", "fault", "fault", "stopped", "fault"),
     "driver_ready": ("waiting", "waiting", "waiting", "stopped", "waiting"),
     "driver_active": ("waiting", "tracking", "holding", "stopped", "waiting"),
@@ -34,6 +35,7 @@ def test_transition(mode: Mode, event: Event) -> None:
 
 def test_a_lost_driver_or_a_stop_never_leaves_a_robot_moving() -> None:
     for mode in MODES:
+        assert not MOVES[TRANSITIONS[mode, "layer_failed"]]
         assert not MOVES[TRANSITIONS[mode, "driver_lost"]]
         assert not MOVES[TRANSITIONS[mode, "driver_ready"]]
         assert not MOVES[TRANSITIONS[mode, "stop"]]
