@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from central_controller.chain import Chain, Desired
+from maniple.control.parts import FormationLaw, refuse_options
 from maniple.core.geometry import Floats, wrap_array
 from maniple.core.scenario.types import Controller
 
@@ -22,6 +23,10 @@ class Gains(NamedTuple):
         """One number in the parameters stands for all six."""
         saturation = np.broadcast_to(np.asarray(parameters.saturation, dtype=np.float64), 6)
         return cls(np.asarray(parameters.kappa, dtype=np.float64) / saturation, saturation)
+
+    def rates(self, desired_rates: Floats, errors: Floats, dt_s: float) -> Floats:  # noqa: ARG002
+        """See `FormationLaw`: eq. (7), which has no state."""
+        return law(desired_rates, errors, self)
 
 
 class Correction(NamedTuple):
@@ -49,9 +54,24 @@ def law(desired_rates: Floats, error: Floats, gains: Gains) -> Floats:
     return rates
 
 
-def step(chain: Chain, gains: Gains, positions: Floats, desired: Desired) -> Correction:
-    """Velocities of all control points from their positions (..., n, 2): f, the law, J^-1, the chain."""
+def paper(parameters: Controller) -> Gains:
+    """The law "paper", eq. (7).
+
+    Raises:
+        ValueError: it is given options.
+    """
+    refuse_options(parameters.options)
+    return Gains.of(parameters)
+
+
+def step(
+    chain: Chain, law: FormationLaw, positions: Floats, desired: Desired, dt_s: float = 0.0
+) -> Correction:
+    """Velocities of all control points from their positions (..., n, 2): f, the law, J^-1, the chain.
+
+    `dt_s` (s) is the time since the step before, for a law with a state.
+    """
     triangles = chain.triangles(positions)
     error = errors(desired.q, triangles.variables())
-    rates = law(desired.rates, error, gains)
+    rates = law.rates(desired.rates, error, dt_s)
     return Correction(chain.select(triangles.velocities(rates)), error)
