@@ -64,8 +64,7 @@ def step(
         verdict = _cleared_around(parameters, limits, state, verdict, returns, dt_s, measured)
     else:
         if sent.v:
-            v = _ramped(limits, state, sent._replace(v=0.0), dt_s).v
-            verdict = Verdict(sent._replace(v=v), "blind")
+            verdict = Verdict(_ramped(limits, state, able._replace(v=0.0), dt_s), "blind")
         for ahead in (True, False):
             verdict = _cleared(parameters, limits, state, verdict, returns, dt_s, measured, ahead)
     (u, w, v), reason = verdict

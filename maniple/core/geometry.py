@@ -35,15 +35,14 @@ class Pose(NamedTuple):
         c, s = math.cos(self.psi), math.sin(self.psi)
         return c * vx - s * vy, s * vx + c * vy
 
-    def advance(self, forward: float, turn: float) -> "Pose":
-        """Pose after an arc of length `forward` (m) through the angle `turn` (rad), integrated exactly."""
+    def advance(self, forward: float, turn: float, left: float = 0.0) -> "Pose":
+        """Pose after a way of `forward` and `left` (m) at constant velocities through the angle `turn` (rad),
+        integrated exactly: an arc, whose chord points half of the turn aside."""
         half = 0.5 * turn
-        chord = forward * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
-        return Pose(
-            self.x + chord * math.cos(self.psi + half),
-            self.y + chord * math.sin(self.psi + half),
-            wrap(self.psi + turn),
-        )
+        shrink = math.sin(half) / half if abs(half) > 1e-9 else 1.0
+        ahead, aside = shrink * forward, shrink * left
+        c, s = math.cos(self.psi + half), math.sin(self.psi + half)
+        return Pose(self.x + ahead * c - aside * s, self.y + ahead * s + aside * c, wrap(self.psi + turn))
 
 
 def wrap(angle: float) -> float:

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from maniple.control.kinematics import Kinematics, curvature_max, kinematics_of
-from maniple.control.limits import Velocity
+from maniple.control.kinematics import Kinematics, kinematics_of
+from maniple.control.limits import Velocity, curvature_max
 from maniple.core.geometry import Pose
 from maniple.core.scenario.types import RobotModel
 from maniple.core.streams import stream

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from maniple.control.returns import Returns, moved, returns_of
 from maniple.core.geometry import Pose
@@ -109,3 +110,57 @@ def test_moving_towards_a_thing_brings_it_nearer() -> None:
     assert moved(seen, Pose(0.5, 0.0, 0.1)).distance == pytest.approx([1.5])
     assert moved(seen, Pose(0.5, 0.0, 0.1)).bearing == pytest.approx([-0.1])
     assert moved(seen, Pose(0.0, 0.0, 0.0)) is seen
+
+
+RING = [math.radians(angle) for angle in (90, 50, 30, 10, -10, -30, -50, -90)]
+
+
+def sonars(
+    directions: list[float], cone: float = math.radians(30), ranges: list[float] | None = None
+) -> Scan:
+    """Transducers that look in these directions from points 0.15 m away from the middle."""
+    beams = [(0.15 * math.cos(a), 0.15 * math.sin(a), a) for a in directions]
+    return Scan(
+        first_angle_rad=0.0,
+        increment_rad=0.0,
+        range_min_m=0.1,
+        range_max_m=5.0,
+        mount=(0.0, 0.0, 0.0),
+        beams=pack_floats(beams),
+        cone_rad=cone,
+        ranges=pack_floats(ranges or [5.0] * len(directions)),
+    )
+
+
+def test_what_a_cone_sees_is_on_its_axis() -> None:
+    result = returns_of(sonars(RING, ranges=[1.0, 5.0, 5.0, 5.0, 5.0, 2.0, 5.0, 0.05]))
+    assert result.distance == pytest.approx([1.15, 2.15, 0.2], abs=1e-6)
+    assert result.bearing == pytest.approx([RING[0], RING[5], RING[7]], abs=1e-6)
+    assert result.half_cone == pytest.approx(math.radians(15))
+    assert moved(result, Pose(0.1, 0.0, 0.0)).half_cone == result.half_cone
+
+
+def test_the_mount_turns_and_moves_the_transducers() -> None:
+    scan = sonars([0.0], ranges=[1.0])
+    turned = returns_of(replace(scan, mount=(0.2, 0.3, 2.0)))
+    assert turned.distance * np.exp(1j * turned.bearing) == pytest.approx(
+        complex(0.2, 0.3) + 1.15 * np.exp(2j), abs=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("directions", "cone_deg", "ahead", "behind"),
+    [
+        (RING, 30, True, False),  # the front ring of a Pioneer: holes of 10 degrees between 65 and 75
+        (RING, 28, False, False),
+        ([*RING, *(a + math.pi for a in RING)], 30, True, True),
+        ([a + math.pi for a in RING], 30, False, True),
+        (RING[1:-1], 30, False, False),
+        ([0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi], 80, True, True),
+    ],
+)
+def test_what_cones_cover_together(
+    directions: list[float], cone_deg: float, ahead: bool, behind: bool
+) -> None:
+    result = returns_of(sonars(directions, math.radians(cone_deg)))
+    assert (result.sees_ahead, result.sees_behind) == (ahead, behind)
