@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from central_controller import formation
+from central_controller import formation, planning
 from central_controller.chain import Chain, Desired
 from central_controller.formation import Correction, Gains
 from maniple.core.geometry import Floats, Pose
@@ -73,21 +73,13 @@ def starts(case: Case, count: int) -> Floats:
     points = stream(SEED, f"evidence/start/{n}").uniform(-half, half, size=(count, n, 2))
     if not case.assigned:
         return points
-    return np.stack([each[_assignment(each, where)] for each in points])
+    return np.stack([each[list(planning.optimal(each, where))] for each in points])
 
 
 def headings(case: Case, count: int) -> Floats:
     """Random headings, (count, n) in rad; the first `count` of any larger number."""
     draws = stream(SEED, f"evidence/heading/{case.n}").uniform(-math.pi, math.pi, size=(count, case.n))
     return np.asarray(draws)
-
-
-def _assignment(points: Floats, where: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.intp]]:
-    """Which of the points each place gets, so that the sum of squared distances is least."""
-    from scipy.optimize import linear_sum_assignment
-
-    squares = ((where[:, None] - points[None]) ** 2).sum(axis=-1)
-    return np.asarray(linear_sum_assignment(squares)[1])
 
 
 class Platoons:
