@@ -1,5 +1,6 @@
 """Which robot is to be where: the places of the desired formation, who has which, and their chain."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -8,7 +9,7 @@ from central_controller.chain import Chain, Desired
 from central_controller.planning import Straight, rechain, relabel
 from central_controller.reference import Reference
 from maniple.control.parts import Planner
-from maniple.core.geometry import Floats
+from maniple.core.geometry import Floats, Pose
 from maniple.core.messages import pack_floats
 from maniple.core.scenario.types import Point, Scenario
 
@@ -101,6 +102,11 @@ class Lineup:
         self._elapsed_s += elapsed_s
         if self._elapsed_s >= self._building.duration_s:
             self._building = None
+
+    def places_at(self, frame: Pose) -> Floats:
+        """`points` where the formation's own frame is at `frame`, (k, 2) in m."""
+        c, s = math.cos(frame.psi), math.sin(frame.psi)
+        return np.asarray(self.points @ np.array([[c, s], [-s, c]]) + (frame.x, frame.y))
 
     def packed(self) -> bytes:
         """`points` as the wire has them."""

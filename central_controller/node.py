@@ -13,6 +13,7 @@ from central_controller.mission import Mission, from_here
 from central_controller.planning import METHODS
 from central_controller.reference import Reference, within
 from central_controller.roster import Member, Roster, View
+from central_controller.supervisor import Supervisor
 from central_controller.waiting import rate
 from maniple.control.builtin import BUILTIN
 from maniple.control.limits import Velocity
@@ -73,6 +74,7 @@ class CentralController:
         self._gains = Gains.of(scenario.controller)
         self._roster = Roster(scenario.robots, scenario.controller.host)
         self._lineup = Lineup(scenario, chosen(planners, scenario.planning.method, "planning.method"))
+        self._supervisor = self._supervise()
         self._mission = Mission(scenario.task, scenario.controller)
         self._lost_after = from_seconds(scenario.controller.lost_after_s)
         self._pipelines = {robot.id: self._pipeline(robot.id) for robot in scenario.robots}
@@ -173,6 +175,7 @@ class CentralController:
         planning = self._scenario.planning
         points = self._own_points(now)
         self._lineup.plan(points)
+        self._supervisor = self._supervise()
         self._happened("ready")
         if planning.build == "straight":
             self._lineup.build(points, planning.speed_mps)
@@ -186,6 +189,7 @@ class CentralController:
             if name not in self._lineup.robots:
                 self._pipelines[name] = self._pipeline(name)
         self._lineup.chain_up(there)
+        self._supervisor = self._supervise()
 
     def _guide(self, views: Mapping[str, View], elapsed: Duration, now: Time) -> list[Outgoing]:
         """The formation law, and what the central layers make of it."""
@@ -196,9 +200,11 @@ class CentralController:
         desired = self._lineup.desired(target, positions)
         correction = formation.step(self._lineup.chain, self._gains, positions, desired)
         self._errors = correction.errors
+        places = self._lineup.places_at(target.pose)
+        velocities, self._notes = self._supervisor.step(positions, places, correction.velocities)
         out = []
         oldest = max(views[name].age for name in robots)
-        for name, (vx, vy) in zip(robots, correction.velocities.tolist(), strict=True):
+        for name, (vx, vy) in zip(robots, velocities.tolist(), strict=True):
             member, view = self._members[name], views[name]
             wanted = (*member.mounting.velocity_in_own(vx, vy), target.velocity[2])
             told = self._pipelines[name].step(
@@ -233,8 +239,7 @@ class CentralController:
 
     def _farthest(self, positions: Floats) -> float:
         """How far the robot is from its place that is the farthest, m."""
-        pose = self._reference().pose
-        places = np.array([pose.compose(Pose(x, y, 0.0))[:2] for x, y in self._lineup.points.tolist()])
+        places = self._lineup.places_at(self._reference().pose)
         return float(np.hypot(*(positions - places).T).max())
 
     def _reference(self) -> Reference:
@@ -282,6 +287,7 @@ class CentralController:
             return
         here = self._own_points(now)
         self._lineup.plan(here)
+        self._supervisor = self._supervise()
         if self._enough:
             self._lineup.build(here, self._scenario.planning.speed_mps)
 
@@ -312,6 +318,11 @@ class CentralController:
             layer=self._layer, values=told[:2], third=told[2], answers=view.answers, inputs_age_ns=age
         )
         return Outgoing(topics.command(name), command)
+
+    def _supervise(self) -> Supervisor:
+        """Of the chain as it is now."""
+        signed = self._scenario.controller.angle == "signed"
+        return Supervisor(self._scenario.supervisor, signed, self._lineup.robots)
 
     def _pipeline(self, name: str) -> Pipeline:
         robot = next(robot for robot in self._scenario.robots if robot.id == name)
