@@ -7,6 +7,7 @@ from itertools import combinations
 
 from maniple.core.errors import ScenarioError
 from maniple.core.scenario import outline
+from maniple.core.scenario.check_task import FARTHEST_M, TOLERANCE_M, speed_limit, task_problems
 from maniple.core.scenario.parse import type_problems
 from maniple.core.scenario.places import Shape, desired_shapes
 from maniple.core.scenario.types import Obstacle, Polygon, RangeFinder, RobotModel, Scenario, Wall
@@ -15,20 +16,11 @@ from maniple.core.topics import TOPICS
 RESERVED = ("controller", "simulator", "recorder", "router")
 """Names of nodes that no robot may have."""
 
-TOLERANCE_M = 0.01
-"""A desired triangle this near to a singular one is refused: the law divides by such distances."""
-
-FARTHEST_M = 10_000.0
-"""Ground truth is sent as float32, which resolves 1 mm up to here."""
-
 LEAST_GAIN, MOST_GAIN = 1e-6, 1e3
 """The law divides gains and saturations by each other."""
 
 MOST_ERROR = 0.5
 """Of a robot's geometry, relative."""
-
-LONGEST_S = 1e6
-"""Of a task."""
 
 
 def require_valid(scenario: Scenario) -> None:
@@ -50,7 +42,9 @@ def problems(scenario: Scenario) -> list[str]:
         return found
     parts = (
         _triangles,
-        _task,
+        _places,
+        task_problems,
+        _phases,
         _obstacles,
         _bodies,
         _models,
@@ -74,8 +68,18 @@ def _platoon(scenario: Scenario) -> Iterator[str]:
             yield f"robots[{index}].id = {name!r}: names a node; must be none of {', '.join(RESERVED)}"
         if (first := ids.index(name)) < index:
             yield f"robots[{index}].id = {name!r}: robots[{first}] has it already; must be unique"
-    if (points := len(scenario.formation.points)) != len(robots):
-        yield f"formation.points: has {points} points; must be {len(robots)}, one for each robot"
+    yield from _formation(scenario)
+
+
+def _formation(scenario: Scenario) -> Iterator[str]:
+    points, robots = len(scenario.formation.points), len(scenario.robots)
+    if scenario.formation.shape is None:
+        if points != robots:
+            yield f"formation.points: has {points} points; must be {robots}, one for each robot"
+    elif points:
+        yield "formation: has points and a shape; must have one of them"
+    else:
+        yield "formation.points: missing; must be those of its shape in a resolved scenario"
 
 
 def _unresolved(scenario: Scenario) -> Iterator[str]:
@@ -89,6 +93,9 @@ def _unresolved(scenario: Scenario) -> Iterator[str]:
 
 
 def _triangles(scenario: Scenario) -> Iterator[str]:
+    """Singular triangles, which the law can't hold: it divides by their lengths."""
+    if scenario.planning.relabel:
+        return
     for index, shape in enumerate(desired_shapes(scenario)):
         fault = _singularity(shape, scenario.controller.angle)
         if fault:
@@ -112,19 +119,47 @@ def _singularity(shape: Shape, angle: str) -> str | None:
     return None
 
 
-def _task(scenario: Scenario) -> Iterator[str]:
-    task = scenario.task
-    if math.dist(task.start, task.end) < TOLERANCE_M:
-        yield f"task.end = {list(task.end)}: is where task.start is; must be more than {TOLERANCE_M} m away"
-    elif (lasts := math.dist(task.start, task.end) / task.speed_mps) > LONGEST_S:
-        yield f"task.speed_mps = {task.speed_mps}: the line takes {lasts:g} s; must be <= {LONGEST_S:g} s"
-    for index, robot in enumerate(scenario.robots):
-        if task.speed_mps >= (limit := scenario.model_of(robot).u_max_mps):
+def _places(scenario: Scenario) -> Iterator[str]:
+    for (i, a), (j, b) in combinations(enumerate(scenario.formation.points), 2):
+        near = j - i <= 2 and not scenario.planning.relabel  # of one triangle: told with its names
+        if not near and math.dist(a, b) < TOLERANCE_M:
             yield (
-                f"task.speed_mps = {task.speed_mps}: too fast for robots[{index}] ({robot.id}); "
-                f"must be < {limit}, the u_max_mps of models.{robot.model}"
+                f"formation.points[{j}] = {list(b)}: is where formation.points[{i}] is; "
+                f"must be more than {TOLERANCE_M} m away"
             )
-            return
+
+
+def _phases(scenario: Scenario) -> Iterator[str]:
+    """Who guides, when it waits, and who dies."""
+    ids = [robot.id for robot in scenario.robots]
+    host, wait, planning = scenario.controller.host, scenario.waiting, scenario.planning
+    if host is not None and host not in ids:
+        yield f"controller.host = {host!r}: is not a robot; must be one of {_some(ids)}"
+    if wait.free_m >= wait.stop_m:
+        yield f"waiting.free_m = {wait.free_m}: must be < stop_m = {wait.stop_m}"
+    for index, robot in enumerate(scenario.robots):
+        limit, where = speed_limit(scenario, robot)
+        if planning.build == "straight" and planning.speed_mps >= limit:
+            yield (
+                f"planning.speed_mps = {planning.speed_mps}: too fast for robots[{index}] ({robot.id}); "
+                f"must be < {limit}, the {where}"
+            )
+            break
+    yield from _crashes(scenario)
+
+
+def _crashes(scenario: Scenario) -> Iterator[str]:
+    nodes = ["controller", *(robot.id for robot in scenario.robots)]
+    gone: dict[str, float] = {}
+    for index, crash in sorted(enumerate(scenario.crashes), key=lambda entry: entry[1].at_s):
+        path = f"crashes[{index}]"
+        if crash.node not in nodes:
+            yield f"{path}.node = {crash.node!r}: must be one of {_some(nodes)}"
+            continue
+        if crash.at_s <= (until := gone.get(crash.node, -1.0)):
+            back = "for good" if until == math.inf else f"until {until:g} s"
+            yield f"{path}.at_s = {crash.at_s}: {crash.node} is dead already then, {back}"
+        gone[crash.node] = crash.at_s + (crash.restart_after_s or math.inf)
 
 
 def _obstacles(scenario: Scenario) -> Iterator[str]:
@@ -191,9 +226,7 @@ def _model(path: str, model: RobotModel) -> Iterator[str]:
             yield f"{path}.{field} = {value}: must be left out for drive = {model.drive!r}"
     wheels = 3 if model.drive == "omnidirectional" else 2
     if len(model.wheel_error) not in (0, wheels):
-        yield (
-            f"{path}.wheel_error = {list(model.wheel_error)}: must have {wheels} numbers, one a wheel, or none"
-        )
+        yield f"{path}.wheel_error = {list(model.wheel_error)}: must have {wheels} numbers or none"
     for index, share in enumerate(model.wheel_error):
         if not abs(share) <= MOST_ERROR:
             yield f"{path}.wheel_error[{index}] = {share}: must be from -{MOST_ERROR} to {MOST_ERROR}"
@@ -276,8 +309,7 @@ def _faults(scenario: Scenario) -> Iterator[str]:
 
 
 def _distances(scenario: Scenario) -> Iterator[str]:
-    places = [("task.start", scenario.task.start), ("task.end", scenario.task.end)]
-    places += [(f"formation.points[{i}]", point) for i, point in enumerate(scenario.formation.points)]
+    places = [(f"formation.points[{i}]", point) for i, point in enumerate(scenario.formation.points)]
     places += [(f"robots[{i}].pose", robot.pose[:2]) for i, robot in enumerate(scenario.robots) if robot.pose]
     for path, point in places:
         if max(map(abs, point)) > FARTHEST_M:

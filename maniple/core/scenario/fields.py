@@ -33,16 +33,23 @@ def problems(kind: inspect.Type, value: Any, path: str = "") -> Iterator[str]:
     """What keeps `value`, made of what TOML or JSON decodes to, from being a `kind`; one line each."""
     kind = plain(kind)
     if isinstance(kind, inspect.UnionType):
-        chosen = _alternative(kind, value)
-        if isinstance(chosen, str):
-            yield f"{path} = {shown(value)}: {chosen}"
-        else:
+        if (chosen := _alternative(kind, value)) is not None:
             yield from problems(chosen, value, path)
+        elif isinstance(value, Mapping) and (tagged := _tagged(kind)):
+            yield _tag_problem(tagged, value, path)
+        else:
+            yield f"{path} = {shown(value)}: must be {expected(kind)}"
     elif isinstance(kind, inspect.StructType) and isinstance(value, Mapping):
         yield from _in_struct(kind, value, path)
     elif isinstance(kind, inspect.DictType) and isinstance(value, Mapping):
         for key, entry in value.items():
             yield from problems(kind.value_type, entry, joined(path, str(key)))
+    elif isinstance(kind, inspect.AnyType) and isinstance(value, Mapping):
+        for key, entry in value.items():
+            yield from problems(kind, entry, joined(path, str(key)))
+    elif isinstance(kind, inspect.AnyType) and _is_list(value):
+        for index, entry in enumerate(value):
+            yield from problems(kind, entry, f"{path}[{index}]")
     elif isinstance(kind, inspect.VarTupleType | inspect.TupleType) and _is_list(value):
         yield from _in_list(kind, value, path)
     elif not _fits(kind, value):
@@ -63,7 +70,7 @@ def expected(kind: inspect.Type) -> str:
             return f"a list of {len(kind.item_types)}, each {kinds[0]}"
         case inspect.VarTupleType():
             if any(isinstance(one, inspect.StructType) for one in _members(kind.item_type)):
-                return "a list of tables"
+                return "a list of tables" + (f", at least {kind.min_length}" if kind.min_length else "")
             least = f"at least {kind.min_length}, each" if kind.min_length else "any length, each"
             return f"a list of {least} {expected(kind.item_type)}"
         case inspect.LiteralType():
@@ -76,7 +83,7 @@ def expected(kind: inspect.Type) -> str:
         case inspect.BoolType():
             return "true or false"
         case inspect.AnyType():
-            return "any value"
+            return "text, a finite number, true or false, or a list or table of such"
         case _:
             raise TypeError(f"no parameter is a {kind}")
 
@@ -139,22 +146,32 @@ def _in_list(
         yield from problems(one, entry, f"{path}[{index}]")
 
 
-def _alternative(union: inspect.UnionType, value: Any) -> inspect.Type | str:
-    """The type of the union that the value is meant to be, or what it must be."""
-    kinds = _members(union)
-    tables = [kind for kind in kinds if isinstance(kind, inspect.StructType)]
-    if tables and isinstance(value, Mapping):
-        tagged = [table for table in tables if table.tag == value.get(table.tag_field or "")]
-        return tagged[0] if tagged else f"kind must be one of {', '.join(str(table.tag) for table in tables)}"
+def _alternative(union: inspect.UnionType, value: Any) -> inspect.Type | None:
+    """The type of the union that the value is meant to be."""
+    if isinstance(value, Mapping) and (tagged := _tagged(union)):
+        return next((table for table in tagged if table.tag == value.get(table.tag_field or "")), None)
     if value is None:
         meant: tuple[type[inspect.Type], ...] = (inspect.NoneType,)
+    elif isinstance(value, Mapping):
+        meant = (inspect.StructType,)
     elif _is_list(value):
         meant = (inspect.TupleType, inspect.VarTupleType)
     elif isinstance(value, str):
         meant = (inspect.StrType,)
     else:
         meant = (inspect.FloatType,) if _is_number(value) else ()
-    return next((kind for kind in kinds if isinstance(kind, meant)), f"must be {expected(union)}")
+    return next((kind for kind in _members(union) if isinstance(kind, meant)), None)
+
+
+def _tagged(union: inspect.UnionType) -> list[inspect.StructType]:
+    """The tables of a union that are told apart by one of their fields."""
+    return [one for one in _members(union) if isinstance(one, inspect.StructType) and one.tag_field]
+
+
+def _tag_problem(tables: Sequence[inspect.StructType], value: Mapping[str, Any], path: str) -> str:
+    field = tables[0].tag_field or ""
+    said = f" = {shown(value[field])}:" if field in value else ": missing;"
+    return f"{joined(path, field)}{said} must be one of {', '.join(str(table.tag) for table in tables)}"
 
 
 def _fits(kind: inspect.Type, value: Any) -> bool:
@@ -173,7 +190,7 @@ def _fits(kind: inspect.Type, value: Any) -> bool:
         case inspect.BoolType():
             return isinstance(value, bool)
         case inspect.AnyType():
-            return True
+            return value is None or isinstance(value, bool | str) or (_is_number(value) and _is_finite(value))
         case _:
             return isinstance(kind, inspect.NoneType) and value is None
 

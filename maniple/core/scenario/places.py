@@ -3,11 +3,9 @@
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from maniple.core.geometry import Pose
 from maniple.core.scenario.types import Leg, Point, Positioning, Samples, Scenario, Sequence, Task
-from maniple.core.scenario.ways import way_of
+from maniple.core.scenario.ways import speed_at, way_of
 
 
 class Shape(NamedTuple):
@@ -56,26 +54,13 @@ def end_pose(task: Task) -> Pose:
 
 
 def fastest_mps(task: Task, place: Point = (0.0, 0.0)) -> float:
-    """Largest speed (m/s) that a place, fixed in the formation's frame, has during the task; 0 for
-    positioning.
-
-    On the outside of a turn that is more than the frame's own: the speed of (vx - turning y, vy + turning x).
+    """Largest speed (m/s) of a place that is fixed in the formation's frame; 0 for positioning. On the
+    outside of a turn it is more than the frame's own.
 
     Raises:
         ScenarioError: a file of the task has not been loaded.
     """
-    twists = np.concatenate([way_of(leg).twists() for leg in legs_of(task)])
-    x, y = place
-    return float(np.hypot(twists[:, 0] - twists[:, 2] * y, twists[:, 1] + twists[:, 2] * x).max())
-
-
-def most_turning_radps(task: Task) -> float:
-    """Largest turning rate (rad/s, either way) of the formation's frame during the task.
-
-    Raises:
-        ScenarioError: a file of the task has not been loaded.
-    """
-    return float(max(np.abs(way_of(leg).twists()[:, 2]).max() for leg in legs_of(task)))
+    return max(speed_at(way_of(leg).twists(), place) for leg in legs_of(task))
 
 
 def desired_shapes(scenario: Scenario) -> list[Shape]:

@@ -10,6 +10,7 @@ from maniple.core.errors import ScenarioError
 from maniple.core.geometry import Pose, wrap
 from maniple.core.scenario.parse import type_problems
 from maniple.core.scenario.places import start_pose
+from maniple.core.scenario.shapes import pointed
 from maniple.core.scenario.types import (
     Parameters,
     PoseXY,
@@ -27,23 +28,27 @@ P = TypeVar("P", bound=Parameters)
 def resolve(
     scenario: Scenario, models: Mapping[str, RobotModel], sensors: Mapping[str, RangeFinder]
 ) -> Scenario:
-    """The scenario with every referenced type of robot and range finder in it and a pose for every robot.
+    """The scenario with every referenced type of robot and range finder in it, a place and a pose for every
+    robot.
 
     Entries of the scenario win over those of the catalogues `models` and `sensors`. A scenario that is
     resolved already comes back unchanged.
 
     Raises:
-        ScenarioError: wrong types or numbers that are not finite, a type that is in neither, or a robot
-            with neither a pose nor a point of the formation.
+        ScenarioError: wrong types or numbers that are not finite, a type that is in neither, a robot
+            with neither a pose nor a point of the formation, or a task whose file has not been loaded.
     """
     if found := type_problems(scenario):
         raise ScenarioError("\n".join(found))
+    scenario = replace(scenario, formation=pointed(scenario.formation, len(scenario.robots)))
     if any(robot.pose is None for robot in scenario.robots):
         require_points(scenario)
     known_models = _referenced("model", scenario, scenario.models, models)
     known_sensors = _referenced("sensor", scenario, scenario.sensors, sensors)
+    frame = start_pose(scenario.task)
     robots = tuple(
-        replace(robot, pose=initial_pose(scenario, index)) for index, robot in enumerate(scenario.robots)
+        replace(robot, pose=initial_pose(scenario, index, frame))
+        for index, robot in enumerate(scenario.robots)
     )
     return replace(scenario, robots=robots, models=known_models, sensors=known_sensors)
 
@@ -56,11 +61,12 @@ def require_points(scenario: Scenario) -> None:
     """
     points, robots = len(scenario.formation.points), len(scenario.robots)
     if points != robots:
-        raise ScenarioError(f"formation.points: has {points} points; must be {robots}, one for each robot")
+        what = f"has {points} points" if points else "missing, and so is a shape"
+        raise ScenarioError(f"formation.points: {what}; must be {robots}, one for each robot")
 
 
-def initial_pose(scenario: Scenario, index: int) -> PoseXY:
-    """Pose (m, m, rad) of the middle of the axle of one robot at the start.
+def initial_pose(scenario: Scenario, index: int, frame: Pose) -> PoseXY:
+    """Pose (m, m, rad) of the middle of the axle of one robot at the start, the formation's frame at `frame`.
 
     Without a pose of its own, the robot's control point is at its place in the formation, scattered by
     `start`, evenly over a disc.
@@ -69,7 +75,7 @@ def initial_pose(scenario: Scenario, index: int) -> PoseXY:
     if robot.pose is not None:
         x, y, psi = robot.pose
         return float(x), float(y), float(psi)
-    place = start_pose(scenario.task).compose(Pose(*scenario.formation.points[index], 0.0))
+    place = frame.compose(Pose(*scenario.formation.points[index], 0.0))
     dx, dy, turn = _scatter(scenario.seed, scenario.start, robot)
     psi = wrap(place.psi + turn)
     a = robot.control_point_m

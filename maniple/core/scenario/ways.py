@@ -67,6 +67,12 @@ def way_of(leg: Leg) -> Way:
             raise ScenarioError(f"the way in {file!r} has not been loaded; must be samples here")
 
 
+def speed_at(twists: Floats, place: Point) -> float:
+    """Largest speed (m/s) of a place that is fixed in a frame which moves at `twists`, see `Way`."""
+    x, y = place
+    return float(np.hypot(twists[:, 0] - twists[:, 2] * y, twists[:, 1] + twists[:, 2] * x).max())
+
+
 class Path(Protocol):
     """A curve in the plane by its arc length."""
 

@@ -49,7 +49,7 @@ def test_a_sound_scenario_has_no_problems(data: Data) -> None:
         ),
         (
             ["task.speed_mps=1e-300"],
-            "task.speed_mps = 1e-300: the line takes 3e+300 s; must be <= 1e+06 s",
+            "task.speed_mps = 1e-300: the way takes 3e+300 s; must be <= 1e+06 s",
         ),
         (
             ["guard.hold_after_s=2", "guard.stop_after_s=2"],
@@ -98,7 +98,7 @@ def test_a_sound_scenario_has_no_problems(data: Data) -> None:
             "faults[0].topic = 'robot/*/odo': matches nothing; valid: robot/r1/",
         ),
         (["faults=[{topic='hw/*'}]"], "faults[0].topic = 'hw/*': matches nothing"),
-        (["task.end=[20000,0]"], "task.end = [20000.0, 0.0]: must be within 10000 m"),
+        (["task.end=[20000,0]"], "task.end: reaches to [20000.0, 0.0]; must be within 10000 m"),
         (
             ["world.obstacles=[{kind='circle', centre=[1e300,0], radius_m=1}]"],
             "world.obstacles[0] (circle): reaches to [1e+300, -1.0]; must be within 10000 m",
@@ -120,6 +120,191 @@ def test_a_sound_scenario_has_no_problems(data: Data) -> None:
 def test_what_makes_no_sense(data: Data, overrides: list[str], message: str) -> None:
     found = checked(data, *overrides)
     assert any(message in line for line in found), found
+
+
+LINE = "{kind='line', start=[0,0], end=[3,0], speed_mps=0.1}"
+STAND = "{kind='positioning', target=[3,0,0]}"
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        (
+            "kind='waypoints', points=[[0,0],[1,0],[1,0],[2,0]], speed_mps=0.1",
+            "points[2] = [1.0, 0.0]: is where the point before it is; must be more than 0.01 m away",
+        ),
+        (
+            "kind='waypoints', points=[[0,0],[5,0],[1,0.1]], speed_mps=0.1",
+            "points[1] = [5.0, 0.0]: the way turns back there, by 179 degrees; must be at most 170",
+        ),
+        (
+            "kind='waypoints', points=[[0,0],[20000,0]], speed_mps=0.1",
+            "points[1]: reaches to [20000.0, 0.0]; must be within 10000 m",
+        ),
+        ("kind='circle', centre=[0,0], radius_m=1e-9, speed_mps=0.1", "radius_m = 1e-09: must be >= 0.01"),
+        (
+            "kind='circle', centre=[9000,0], radius_m=2000, speed_mps=0.1",
+            "radius_m: reaches to [11000.0, 2000.0]; must be within 10000 m",
+        ),
+        (
+            "kind='circle', centre=[0,0], radius_m=5, speed_mps=0.1, turns=1e300",
+            "speed_mps = 0.1: the way takes 3.14159e+302 s; must be <= 1e+06 s",
+        ),
+        (
+            "kind='circle', centre=[0,0], radius_m=5, speed_mps=0.7",
+            "speed_mps = 0.7: too fast for robots[2] (r3), whose place moves at up to 0.812 m/s on the "
+            "outside of a turn; must be < 0.75, the u_max_mps of models.cart",
+        ),
+        (
+            "kind='circle', centre=[0,0], radius_m=0.05, speed_mps=0.1",
+            "speed_mps = 0.1: too fast for robots[0] (r1), whose place moves at up to 2 m/s",
+        ),
+        ("kind='figure-eight', centre=[0,0], size_m=1e-5, speed_mps=0.1", "size_m = 1e-05: must be >= 0.01"),
+        (
+            "kind='figure-eight', centre=[0,0], size_m=5, speed_mps=0.1, laps=1e300",
+            "speed_mps = 0.1: the way takes ",
+        ),
+        ("kind='csv', file='a.csv'", "file = 'a.csv': has not been loaded"),
+        (
+            "kind='samples', times_s=[0,1,2], poses=[[0,0,0],[1,0,0]]",
+            "poses: there are 2; must be 3, one for each of times_s",
+        ),
+        ("kind='samples', times_s=[1,2], poses=[[0,0,0],[1,0,0]]", "times_s[0] = 1.0: must be 0"),
+        (
+            "kind='samples', times_s=[0,2,2], poses=[[0,0,0],[1,0,0],[2,0,0]]",
+            "times_s[2] = 2.0: must be at least 0.001 s after the one before, 2.0",
+        ),
+        (
+            "kind='samples', times_s=[0,1], poses=[[0,0,0],[1,0,0]]",
+            "times_s: too fast for robots[0] (r1); must be < 0.75, the u_max_mps of models.cart",
+        ),
+        (
+            "kind='samples', times_s=[0,2e6], poses=[[0,0,0],[1,0,0]]",
+            "times_s: the way takes 2e+06 s; must be <= 1e+06 s",
+        ),
+        (
+            "kind='samples', times_s=[0,9], poses=[[0,0,0],[1e5,0,0]]",
+            "poses[1]: reaches to [100000.0, 0.0]; must be",
+        ),
+        (
+            "kind='positioning', target=[1e5,0,0]",
+            "target: reaches to [100000.0, 0.0]; must be within 10000 m",
+        ),
+    ],
+)
+@pytest.mark.parametrize("nested", [False, True])
+def test_tasks_that_make_no_sense(data: Data, task: str, message: str, nested: bool) -> None:
+    """Alone, and as the second part of a sequence; robots are placed, so that the start plays no part."""
+    poses = [f"robots.{k}.pose=[{3 * k}, 5, 0]" for k in range(3)]
+    if nested:
+        data["task"] = {"kind": "sequence", "tasks": [data["task"]]}
+    key, path = ("task.tasks.1", "task.tasks[1]") if nested else ("task", "task")
+    if "csv" in task and not nested:
+        with pytest.raises(ScenarioError, match="has not been loaded"):
+            checked(data, *poses, f"{key}={{{task}}}")
+        return
+    (found,) = checked(data, *poses, f"{key}={{{task}}}")
+    assert found.startswith(f"{path}.{message}")
+
+
+@pytest.mark.parametrize(
+    "task",
+    [
+        LINE,
+        STAND,
+        "{kind='waypoints', points=[[0,0],[5,0],[5,5],[0,9]], speed_mps=0.3, radius_m=2}",
+        "{kind='circle', centre=[0,0], radius_m=5, speed_mps=0.5, turns=3}",
+        "{kind='circle', centre=[0,0], radius_m=0.5, speed_mps=0.7, facing='fixed'}",
+        "{kind='figure-eight', centre=[0,0], size_m=5, speed_mps=0.4}",
+        "{kind='samples', times_s=[0,9,20], poses=[[0,0,0],[1,0,0.5],[2,2,1]]}",
+        f"{{kind='sequence', tasks=[{LINE}, {STAND}, {LINE}]}}",
+    ],
+)
+def test_tasks_that_make_sense(data: Data, task: str) -> None:
+    del data["task"]
+    assert checked(data, f"task={task}") == []
+
+
+def test_one_too_fast_turn_of_the_whole_formation(data: Data) -> None:
+    """Places near the origin are slow enough, but nobody turns that fast."""
+    data["formation"]["points"] = [[0.05, 0], [0, 0.04], [0, -0.04]]
+    poses = [f"robots.{k}.pose=[{3 * k}, 5, 0]" for k in range(3)]
+    turn = "task={kind='samples', times_s=[0,1], poses=[[0,0,0],[0,0,2]]}"
+    (found,) = checked(data, *poses, turn)
+    assert found == (
+        "task.times_s: the formation turns at up to 2 rad/s, too fast for robots[0] (r1); must be < 1.7, "
+        "the w_max_radps of models.cart"
+    )
+
+
+# -- who guides, waits and dies
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("controller.host=r9", "controller.host = 'r9': is not a robot; must be one of r1, r2, r3"),
+        ("waiting={free_m=0.5, stop_m=0.5}", "waiting.free_m = 0.5: must be < stop_m = 0.5"),
+        (
+            "planning={build='straight', speed_mps=0.8}",
+            "planning.speed_mps = 0.8: too fast for robots[0] (r1); must be < 0.75, the u_max_mps of "
+            "models.cart",
+        ),
+        (
+            "crashes=[{node='simulator', at_s=1}]",
+            "crashes[0].node = 'simulator': must be one of controller, r1, r2, r3",
+        ),
+        (
+            "crashes=[{node='r1', at_s=9}, {node='r1', at_s=1}]",
+            "crashes[0].at_s = 9.0: r1 is dead already then, for good",
+        ),
+        (
+            "crashes=[{node='r1', at_s=1, restart_after_s=5}, {node='r1', at_s=4}]",
+            "crashes[1].at_s = 4.0: r1 is dead already then, until 6 s",
+        ),
+        (
+            "formation={points=[[0,0],[0,1],[0,-2]], shape={kind='vee', spacing_m=1}}",
+            "formation: has points and a shape; must have one of them",
+        ),
+    ],
+)
+def test_what_else_makes_no_sense(data: Data, override: str, message: str) -> None:
+    assert checked(data, override) == [message]
+
+
+def test_nodes_may_die_more_than_once(data: Data) -> None:
+    twice = (
+        "crashes=[{node='r1', at_s=1, restart_after_s=5}, {node='controller', at_s=2}, {node='r1', at_s=7}]"
+    )
+    assert checked(data, twice, "controller.host=r2", "waiting.enabled=true") == []
+
+
+def test_a_shape_is_resolved_first(data: Data) -> None:
+    data["formation"] = {"shape": {"kind": "vee", "spacing_m": 1.0}}
+    assert checked(data) == []
+    unresolved = replace(resolve(scenario_of(data), {}, {}), formation=scenario_of(data).formation)
+    assert problems(unresolved) == [
+        "formation.points: missing; must be those of its shape in a resolved scenario"
+    ]
+
+
+def test_places_of_different_triangles_may_not_coincide_either(data: Data) -> None:
+    data["robots"] = SIX
+    data["formation"]["points"] = [[0, 0], [1, 1], [2, 0], [3, 1], [4, 0], [1, 1]]
+    poses = [f"robots.{k}.pose=[{3 * k}, 5, 0]" for k in range(6)]
+    (found,) = checked(data, *poses)
+    assert found.startswith("formation.points[5] = [1.0, 1.0]: is where formation.points[1] is")
+
+
+def test_places_that_are_numbered_anew_may_come_in_any_order(data: Data) -> None:
+    """Singular as they are written, but not as `relabel` chains them."""
+    data["robots"] = [{**robot, "pose": [3.0 * k, 5, 0]} for k, robot in enumerate([*SIX[:4]])]
+    data["formation"]["points"] = [[1, 0], [0, 0], [2, 0], [1, 1]]
+    assert len(checked(data)) == 1
+    assert checked(data, "planning.relabel=true") == []
+    data["formation"]["points"][1] = [2, 0]
+    (found,) = checked(data, "planning.relabel=true")
+    assert found.startswith("formation.points[2] = [2.0, 0.0]: is where formation.points[1] is")
 
 
 def test_fewer_than_three_robots(data: Data) -> None:

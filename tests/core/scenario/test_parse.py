@@ -16,7 +16,7 @@ from maniple.core.scenario.parse import (
     type_problems,
     with_overrides,
 )
-from maniple.core.scenario.types import Circle, Controller, Scenario, Wall
+from maniple.core.scenario.types import Circle, Controller, Line, Scenario, Wall
 
 Data = dict[str, Any]
 
@@ -27,6 +27,7 @@ def put(data: Data, *overrides: str) -> Scenario:
 
 def test_whole_numbers_become_floats(data: Data) -> None:
     scenario = scenario_of(data)
+    assert isinstance(scenario.task, Line)
     assert isinstance(scenario.task.end[0], float)
     assert isinstance(scenario.models["cart"].theta[3], float)
     assert scenario.controller == Controller()
@@ -66,13 +67,24 @@ def test_whole_numbers_become_floats(data: Data) -> None:
         ("guard.hold_after_s=0", "guard.hold_after_s = 0: must be a finite number > 0"),
         ("faults.0.loss=1.5", "faults[0].loss = 1.5: must be a finite number >= 0 and <= 1"),
         ("rates.control_hz=1001", "rates.control_hz = 1001: must be a finite number >= 0.001 and <= 1000"),
-        ("task.kind=arc", "task.kind = 'arc': must be line"),
+        ("task.kind=arc", "task.kind = 'arc': must be one of line, waypoints, circle, figure-eight, csv, "),
         ("task=3", "task = 3: must be a table"),
         ("robots=r1", "robots = 'r1': must be a list of tables"),
         ("robots.0.pose=[1,2]", "robots[0].pose = [1, 2]: must be a list of 3"),
         ("robots.0.id='r 1'", "robots[0].id = 'r 1': must be text that matches"),
         ('robots.0.id="r1\\n"', "robots[0].id = 'r1\\n': must be text that matches"),
-        ("world.obstacles.0={kind='cone'}", "kind must be one of circle, box, polygon, wall"),
+        (
+            "world.obstacles.0={kind='cone'}",
+            "world.obstacles[0].kind = 'cone': must be one of circle, box, polygon, wall",
+        ),
+        ("task={speed_mps=1}", "task.kind: missing; must be one of line, waypoints, circle, figure-eight, "),
+        ("task={kind='sequence', tasks=[]}", "task.tasks = []: must be a list of tables, at least 1"),
+        (
+            "task={kind='sequence', tasks=[{kind='sequence'}]}",
+            "task.tasks[0].kind = 'sequence': must be one of line, waypoints, ",
+        ),
+        ("controller.options={a=[1, nan]}", "controller.options.a[1] = nan: must be text, a finite number, "),
+        ("controller.options={a={b=2001-01-01}}", "controller.options.a.b = datetime.date(2001, 1, 1): must"),
         (
             "world.obstacles.0={kind='circle', centre=[0,0]}",
             "world.obstacles[0].radius_m: missing; must be a finite number > 0",

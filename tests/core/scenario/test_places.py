@@ -6,7 +6,7 @@ import pytest
 
 from maniple.core.geometry import Pose
 from maniple.core.scenario.parse import scenario_of
-from maniple.core.scenario.places import desired_shapes, end_pose, fastest_mps, most_turning_radps, start_pose
+from maniple.core.scenario.places import desired_shapes, end_pose, fastest_mps, start_pose
 from maniple.core.scenario.types import Line, Orbit, Positioning, Samples, Sequence
 from maniple.core.scenario.ways import way_of
 
@@ -37,13 +37,11 @@ def test_the_outside_of_a_turn_is_faster() -> None:
     assert fastest_mps(orbit, (0.0, -1.0)) == pytest.approx(0.3 * 3 / 2)
     assert fastest_mps(orbit, (0.0, 2.0)) == pytest.approx(0.0, abs=1e-15)
     assert fastest_mps(orbit, (1.5, 0.0)) == pytest.approx(0.3 * 2.5 / 2)
-    assert most_turning_radps(orbit) == pytest.approx(0.15)
 
 
 def test_a_fixed_heading_has_no_outside() -> None:
     orbit = Orbit(centre=(0, 0), radius_m=2.0, speed_mps=0.3, facing="fixed")
     assert fastest_mps(orbit, (0.0, -1.0)) == pytest.approx(0.3)
-    assert most_turning_radps(orbit) == 0.0
 
 
 def test_the_fastest_of_samples_is_what_finite_differences_say() -> None:

@@ -8,7 +8,8 @@ from maniple.core.errors import ScenarioError
 from maniple.core.geometry import Pose
 from maniple.core.scenario.parse import json_data, scenario_of, to_json
 from maniple.core.scenario.resolve import resolve
-from maniple.core.scenario.types import RangeFinder, RobotModel, Scenario
+from maniple.core.scenario.shapes import points
+from maniple.core.scenario.types import Formation, RangeFinder, RobotModel, Scenario
 
 Data = dict[str, Any]
 
@@ -123,6 +124,31 @@ def test_the_number_of_places_must_be_that_of_robots(data: Data) -> None:
     with pytest.raises(
         ScenarioError, match=r"^formation.points: has 2 points; must be 3, one for each robot$"
     ):
+        resolved(data)
+
+
+def test_without_points_or_a_shape_there_are_no_places(data: Data) -> None:
+    data["formation"] = {}
+    with pytest.raises(ScenarioError, match=r"^formation.points: missing, and so is a shape; must be 3, one"):
+        resolved(data)
+
+
+def test_a_named_shape_becomes_points(data: Data) -> None:
+    data["formation"] = {"shape": {"kind": "wedge", "spacing_m": 1.5}}
+    scenario = resolved(data)
+    assert scenario.formation == Formation(points=points("wedge", 3, 1.5))
+    assert control_points(scenario) == [pytest.approx(point) for point in scenario.formation.points]
+
+
+def test_robots_are_placed_where_positioning_says(data: Data) -> None:
+    data["task"] = {"kind": "positioning", "target": [9, 9, 1], "start": [1, 2, 0]}
+    placed = [(x + 1, y + 2) for x, y in data["formation"]["points"]]
+    assert control_points(resolved(data)) == [pytest.approx(point) for point in placed]
+
+
+def test_a_file_has_to_be_loaded_first(data: Data) -> None:
+    data["task"] = {"kind": "csv", "file": "way.csv"}
+    with pytest.raises(ScenarioError, match=r"^the way in 'way\.csv' has not been loaded"):
         resolved(data)
 
 
