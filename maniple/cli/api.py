@@ -50,6 +50,10 @@ class Result(msgspec.Struct, frozen=True):
     """Of what the robots acted on, by their own clocks."""
     log: str
     """The recording."""
+    lost_robots: list[str] = []
+    """Robots that the controller ever gave up as lost."""
+    odometry_drift_m: float | None = None
+    """Largest distance, at the end, from where a control point is to where dead reckoning puts it."""
     unrecorded: int = 0
     """Messages that the recording lacks, by their sequence numbers."""
     interrupted: bool = False

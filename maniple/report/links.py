@@ -1,6 +1,9 @@
 """What became of the messages on links that faults apply to, counted from journals and decisions."""
 
+from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
+from typing import NamedTuple
 
 from maniple.core import codec, topics
 from maniple.core.errors import MessageError
@@ -17,9 +20,32 @@ class _Flow:
         self.last = -1
         self.accepted = self.decided = self.dropped = self.refused = 0
 
+    @property
+    def sent(self) -> int:
+        """From the first that the receiver knew of to the last."""
+        return self.last - self.first + 1
+
+    @property
+    def missing(self) -> int:
+        """Of which nothing is known to have arrived."""
+        return self.sent - (self.decided or self.accepted + self.refused)
+
     def saw(self, seq: int) -> None:
         self.first = seq if self.first < 0 else min(self.first, seq)
         self.last = max(self.last, seq)
+
+
+class LinkTotals(NamedTuple):
+    """What became of the messages of one link, over all lives of its sender."""
+
+    source: str
+    destination: str
+    topic: str
+    sent: int
+    delivered: int
+    lost_injected: int
+    lost_other: int
+    refused: int
 
 
 class LinkCounts:
@@ -37,7 +63,7 @@ class LinkCounts:
                 continue
             if call.name == topics.HOST_REFUSED:
                 self._refusal(call, receiver)
-            elif topics.topic(call.name).faults:
+            elif _faults_apply(call.name):
                 flow = self._flow(receiver, call.source, call.name, call.incarnation)
                 flow.saw(call.seq)
                 flow.accepted += 1
@@ -58,11 +84,10 @@ class LinkCounts:
         """
         sent = delivered = injected = missing = 0
         for flow in self._flows.values():
-            span = flow.last - flow.first + 1
-            sent += span
+            sent += flow.sent
             delivered += flow.accepted
             injected += flow.dropped
-            missing += span - (flow.decided or flow.accepted + flow.refused)
+            missing += flow.missing
         return {
             "sent": sent,
             "delivered": delivered,
@@ -70,6 +95,29 @@ class LinkCounts:
             "lost_other": max(missing, 0),
             "refused": self._refused,
         }
+
+    def links(self) -> list[LinkTotals]:
+        """The same of every link, sorted by topic, source and destination."""
+        flows: defaultdict[tuple[str, str, str], list[_Flow]] = defaultdict(list)
+        for (receiver, source, topic, _), flow in self._flows.items():
+            flows[topic, source, receiver].append(flow)
+        return [
+            LinkTotals(
+                source=source,
+                destination=receiver,
+                topic=topic,
+                sent=sum(life.sent for life in lives),
+                delivered=sum(life.accepted for life in lives),
+                lost_injected=sum(life.dropped for life in lives),
+                lost_other=max(sum(life.missing for life in lives), 0),
+                refused=max(life.refused for life in lives),
+            )
+            for (topic, source, receiver), lives in sorted(flows.items())
+        ]
+
+    def spans(self) -> dict[tuple[str, str, str, int], tuple[int, int]]:
+        """Of each (receiver, source, topic, incarnation) the first and the last `seq` its receiver knew of."""
+        return {key: (flow.first, flow.last) for key, flow in self._flows.items()}
 
     def _refusal(self, call: Call, receiver: str) -> None:
         for refused in _refused_in(call):
@@ -97,6 +145,7 @@ def _refused_in(call: Call) -> Iterator[Refused]:
         yield message
 
 
+@cache
 def _faults_apply(name: str) -> bool:
     try:
         return topics.topic(name).faults

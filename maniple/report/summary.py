@@ -3,11 +3,13 @@
 Errors are ground truth against the desired formation; see `RunFigures`.
 """
 
+from collections import defaultdict
+from collections.abc import Iterable
+from itertools import groupby, takewhile
+
 import msgspec
 import numpy as np
 
-from central_controller.chain import Chain
-from central_controller.reference import reference
 from maniple.core import topics
 from maniple.core.errors import MessageError
 from maniple.core.geometry import Floats, wrap_array
@@ -16,6 +18,7 @@ from maniple.core.messages import (
     FormationState,
     Journal,
     Message,
+    Odometry,
     Status,
     Truth,
     unpack_floats,
@@ -23,12 +26,14 @@ from maniple.core.messages import (
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import SECOND, Time, to_seconds
 from maniple.report.links import LinkCounts
+from maniple.report.samples import Samples, Stamps
+from maniple.report.truth import Ground, drift, ground_of, stretches
 
 LAST: int = SECOND
 """Final errors are the mean of this long before the end, ns."""
 
 
-_WANTED = (Truth, FormationState, Status, Journal, Decisions)
+_WANTED = (Truth, FormationState, Status, Odometry, Journal, Decisions)
 
 
 class Errors(msgspec.Struct, frozen=True):
@@ -62,18 +67,29 @@ class Percentiles(msgspec.Struct, frozen=True):
 
 
 class RunFigures(msgspec.Struct, frozen=True):
-    """The figures of a run that its messages tell."""
+    """The figures of a run that its messages tell.
+
+    Errors count from when the formation is first built and the task runs, up to the end of the task.
+    """
 
     duration_s: float
     """Simulated time from the first ground truth to the end of the task, or of what was seen of it."""
     completed: bool
+    """Whether the controller ended with the task done."""
     collisions: int
     min_clearance_m: float | None
     final_error: Errors
+    """Mean of the last second."""
     peak_error: Errors
     estimated_final_error: Errors
+    """The final error as the controller sees it."""
     messages: MessageCounts
     command_age_ms: Percentiles
+    lost_robots: list[str] = []
+    """Robots that the controller ever gave up as lost."""
+    odometry_drift_m: float | None = None
+    """Largest distance, at the end, from where a control point of the chain is to where dead reckoning puts
+    it: what the controller can't see of the true error."""
 
 
 class Summary:
@@ -81,14 +97,12 @@ class Summary:
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
-        self._chain = Chain(scenario.formation.points)
-        self._arms = np.array([robot.control_point_m for robot in scenario.robots])
         self._truth: list[Truth] = []
         self._states: list[FormationState] = []
+        self._odometry: defaultdict[str, Samples] = defaultdict(lambda: Samples(3))
+        self._lost: set[str] = set()
         self._ages: list[float] = []
         self._links = LinkCounts()
-        self.done_at: Time | None = None
-        """When the controller said that the task is done, by its stamp; None before."""
 
     def wants(self, topic: str) -> bool:
         """Whether messages of this topic matter."""
@@ -103,9 +117,12 @@ class Summary:
             case Truth():
                 self._truth.append(message)
             case FormationState():
-                self._states.append(message)
-                if message.phase == "done" and (self.done_at is None or message.stamp_ns < self.done_at):
-                    self.done_at = message.stamp_ns
+                self._lost.update(robot.id for robot in message.roster if robot.state == "lost")
+                self._states.append(msgspec.structs.replace(message, roster=()))
+            case Odometry():
+                self._odometry[message.source].add(
+                    message.stamp_ns, (message.x_m, message.y_m, message.psi_rad)
+                )
             case Status() if message.command_age_s >= 0:
                 self._ages.append(1000 * message.command_age_s)
             case Journal():
@@ -118,53 +135,57 @@ class Summary:
         truth = sorted(self._truth, key=lambda message: message.stamp_ns)
         states = sorted(self._states, key=lambda message: message.stamp_ns)
         last = truth[-1] if truth else None
-        running = [m for m in states if m.phase != "waiting"]
-        ends = (self.done_at, *(m.stamp_ns for m in (*running[-1:], *truth[-1:])), 0)
+        done_at = done_since(states)
+        seen = [m.stamp_ns for m in states if m.phase != "waiting"]
+        ends = (done_at, *seen[-1:], *(m.stamp_ns for m in truth[-1:]), 0)
         end = next(moment for moment in ends if moment is not None)
-        running = [m for m in running if m.stamp_ns <= end]
-        during = [m for m in truth if m.stamp_ns <= end]
-        stamps, errors = self._true_errors(during, running)
-        seen_at = np.array([m.stamp_ns for m in running])
-        seen = np.array([unpack_floats(m.errors, 6) for m in running])
-        clearances = [float(unpack_floats(m.clearances).min()) for m in truth]
+        running = [m for m in under_way(states) if m.stamp_ns <= end]
+        ground = ground_of([m for m in truth if m.stamp_ns <= end], self._scenario)
+        stamps, errors = self._true_errors(ground, running)
+        seen_at, estimated = _estimated_errors(running)
+        clearances = [float(unpack_floats(m.clearances).min(initial=np.inf)) for m in truth]
         return RunFigures(
             duration_s=round(to_seconds(end - truth[0].stamp_ns), 6) if truth else 0.0,
-            completed=self.done_at is not None,
+            completed=done_at is not None,
             collisions=last.collisions if last else 0,
             min_clearance_m=min(clearances) if clearances else None,
             final_error=_final(stamps, errors, end),
             peak_error=_errors(errors.max(axis=0)) if len(errors) else Errors(),
-            estimated_final_error=_final(seen_at, _magnitudes(seen), end),
+            estimated_final_error=_final(seen_at, estimated, end),
             messages=MessageCounts(**self._links.totals()),
             command_age_ms=_percentiles(self._ages),
+            lost_robots=[robot.id for robot in self._scenario.robots if robot.id in self._lost],
+            odometry_drift_m=self._drift(ground, states, end),
         )
 
-    def _true_errors(self, truth: list[Truth], states: list[FormationState]) -> tuple[Floats, Floats]:
+    def _true_errors(self, ground: Ground, states: list[FormationState]) -> tuple[Stamps, Floats]:
         """Times of the ground truth while the task ran, and magnitudes of the errors then, shape (k, 4)."""
-        truth = [m for m in truth if states and m.stamp_ns >= states[0].stamp_ns]
-        if not truth:
-            return np.empty(0), np.empty((0, 4))
-        stamps = np.array([m.stamp_ns for m in truth])
-        base = states[0].stamp_ns
-        task_time = np.interp(
-            (stamps - base).astype(float),
-            [float(m.stamp_ns - base) for m in states],
-            [m.task_time_s for m in states],
-        )
-        poses = np.array([unpack_floats(m.poses, 3) for m in truth])
-        heading = np.stack([np.cos(poses[..., 2]), np.sin(poses[..., 2])], axis=-1)
-        points = poses[..., :2] + self._arms[:, None] * heading
-        actual = self._chain.triangles(points).variables()
-        desired = np.array(
-            [self._chain.desired(*reference(self._scenario.task, float(t))).q for t in task_time]
-        )
-        return stamps, _magnitudes(desired - actual)
+        parts = stretches(ground, states, self._scenario)
+        stamps = [np.empty(0, dtype=np.int64), *(part.stamps for part in parts)]
+        errors = [np.empty((0, 4)), *(magnitudes(part.errors) for part in parts)]
+        return np.concatenate(stamps), np.concatenate(errors)
+
+    def _drift(self, ground: Ground, states: list[FormationState], end: Time) -> float | None:
+        chains = [m.chain for m in states if m.stamp_ns <= end]
+        chain = chains[-1] if chains else [robot.id for robot in self._scenario.robots]
+        odometry = {name: samples.arrays() for name, samples in self._odometry.items()}
+        return drift(ground, odometry, chain, self._scenario, end)
 
 
-def _magnitudes(errors: Floats) -> Floats:
+def done_since(states: list[FormationState]) -> Time | None:
+    """Since when the task has been done, of states in order; None where it is not at the end."""
+    finished = list(takewhile(lambda state: state.phase == "done", reversed(states)))
+    return finished[-1].stamp_ns if finished else None
+
+
+def under_way(states: list[FormationState]) -> list[FormationState]:
+    """The states from when the task first runs, of states in order."""
+    starts = [index for index, state in enumerate(states) if state.phase in ("running", "done")]
+    return [state for state in states[starts[0] :] if state.phase != "waiting"] if starts else []
+
+
+def magnitudes(errors: Floats) -> Floats:
     """|errors| of triangles (k, m, 6) as the largest over the triangles of the four kinds (k, 4)."""
-    if not len(errors):
-        return np.empty((0, 4))
     position = np.hypot(errors[..., 0], errors[..., 1])
     orientation = np.abs(wrap_array(errors[..., 2]))
     distance = np.abs(errors[..., 3:5]).max(axis=-1)
@@ -172,7 +193,17 @@ def _magnitudes(errors: Floats) -> Floats:
     return np.asarray(np.stack([position, orientation, distance, angle], axis=-1).max(axis=1))
 
 
-def _final(stamps: Floats, errors: Floats, end: Time) -> Errors:
+def _estimated_errors(states: Iterable[FormationState]) -> tuple[Stamps, Floats]:
+    """Times and magnitudes (k, 4) of the errors as the controller sees them."""
+    told = [state for state in states if state.errors]
+    stamps = np.array([state.stamp_ns for state in told], dtype=np.int64)
+    parts = [np.empty((0, 4))]
+    for _, group in groupby(told, lambda state: len(state.errors)):
+        parts.append(magnitudes(np.array([unpack_floats(state.errors, 6) for state in group])))
+    return stamps, np.concatenate(parts)
+
+
+def _final(stamps: Stamps, errors: Floats, end: Time) -> Errors:
     """The mean of the last second before the end."""
     late = stamps > end - LAST
     return _errors(errors[late].mean(axis=0)) if late.any() else Errors()

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 from maniple.core import codec, topics
 from maniple.core.messages import Call, Decided, Decisions, Journal, Refused
-from maniple.report.links import LinkCounts
+from maniple.report.links import LinkCounts, LinkTotals
 
 ODOMETRY = topics.odometry("r1")
 
@@ -122,3 +122,19 @@ def test_a_refusal_that_can_not_be_read_is_passed_over() -> None:
     broken = Call("message", 0, topics.HOST_REFUSED, "host", 1, 0, 0, b"\xc1")
     missing = Call("message", 0, topics.HOST_REFUSED, "host", 1, 0, 0, None)
     assert totals(journal(broken, missing, accepted(0))) == (1, 1, 0, 0, 0)
+
+
+def test_a_topic_of_another_version_is_passed_over() -> None:
+    assert totals(journal(accepted(0, "robot/r1/mood"), accepted(0))) == (1, 1, 0, 0, 0)
+
+
+def test_every_link_by_itself_over_all_lives() -> None:
+    counts = LinkCounts()
+    counts.journal(journal(*map(accepted, (0, 1, 3)), *(accepted(seq, incarnation=2) for seq in (0, 1))))
+    counts.journal(journal(accepted(4, topics.command("r1"), "controller"), source="r1"))
+    counts.decisions(decided(range(6), (2, 4)))
+    assert counts.links() == [
+        LinkTotals("controller", "r1", topics.command("r1"), 1, 1, 0, 0, 0),
+        LinkTotals("r1", "controller", ODOMETRY, 8, 5, 2, 0, 0),
+    ]
+    assert counts.spans()["controller", "r1", ODOMETRY, 1] == (0, 5)

@@ -10,6 +10,7 @@ import pytest
 
 from maniple.cli.loading import completed
 from maniple.core import topics
+from maniple.core.geometry import Pose
 from maniple.core.messages import (
     Call,
     Command,
@@ -17,11 +18,14 @@ from maniple.core.messages import (
     Decisions,
     FormationState,
     Journal,
+    Odometry,
     Phase,
+    RobotReport,
     Stamp,
     Status,
     Truth,
     pack_floats,
+    unpack_floats,
 )
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import SECOND
@@ -49,6 +53,11 @@ def at(seconds: float) -> int:
     return BEGIN + round(seconds * SECOND)
 
 
+def height(t_s: float) -> float:
+    """Of the reference."""
+    return 1.0 + 0.2 * min(max(t_s, 0.0), 10.0)
+
+
 def truth(
     t_s: float,
     shift: tuple[float, float] = (0.0, 0.0),
@@ -58,7 +67,7 @@ def truth(
 ) -> Truth:
     """Control points in the desired formation at task time `t_s`, all shifted by `shift` and turned by
     `turn` about the middle of it; the robots look wherever they like."""
-    y = 1.0 + 0.2 * min(max(t_s, 0.0), 10.0)
+    y = height(t_s)
     middle = np.mean(points, axis=0)
     c, s = math.cos(math.pi / 2 + turn), math.sin(math.pi / 2 + turn)
     poses = []
@@ -86,7 +95,7 @@ def state(t_s: float, phase: Phase = "running", errors: Any = None, **changes: A
         "phase": phase,
         "task_time_s": min(max(t_s, 0.0), DURATION_S),
         "task_duration_s": DURATION_S,
-        "reference": (0.0, 0.0, 0.0),
+        "reference": (2.0, height(t_s), math.pi / 2),
         "reference_velocity": (0.0, 0.0, 0.0),
         "chain": ("r1", "r2", "r3", "r4"),
         "errors": b"" if phase == "waiting" else pack_floats(np.zeros((2, 6)) if errors is None else errors),
@@ -276,3 +285,95 @@ def test_what_matters_is_asked_for_and_the_rest_passed_over(scenario: Scenario) 
         assert not summary.wants(topic)
     summary.add(Command(layer="drive", values=(0.0, 0.0), answers=Stamp(1, 0, 0), inputs_age_ns=0))
     assert summary.figures() == Summary(scenario).figures()
+
+
+def odometry(name: str, t_s: float, x: float, y: float, psi: float) -> Odometry:
+    return Odometry(
+        source=name, stamp_ns=at(t_s), frame_id=name, x_m=x, y_m=y, psi_rad=psi, u_mps=0.0, w_radps=0.0
+    )
+
+
+def test_where_the_chain_is_to_be_comes_from_the_controller(scenario: Scenario) -> None:
+    """r2 is lost, the others change places on the way: only what was said then counts."""
+    summary = Summary(scenario)
+    places = (POINTS[2], POINTS[0], POINTS[3])
+    gone = RobotReport("r2", "lost", 5.0, "")
+    for step in range(100):
+        t_s = step / 10
+        early = t_s < 4.0
+        spread = 1.0 + 0.1 * min(t_s, 3.0)
+        chain = ("r1", "r2", "r3", "r4") if early else ("r3", "r1", "r4")
+        wanted = np.multiply(POINTS if early else places, spread)
+        summary.add(state(t_s, chain=chain, points=pack_floats(wanted), roster=() if early else (gone,)))
+        spread = 1.0 + 0.1 * min(t_s + 0.05, 3.0)
+        points = np.multiply(POINTS, spread)
+        if not early:
+            points[1] += 5.0
+        shift = (-points.mean(axis=0)[1], points.mean(axis=0)[0])
+        centred = truth(t_s + 0.05, points=[tuple(p) for p in points], shift=shift)
+        summary.add(centred)
+    figures = summary.figures()
+    assert_errors(figures.peak_error, ZERO, 1e-5)
+    assert_errors(figures.final_error, ZERO, 1e-5)
+    assert figures.lost_robots == ["r2"]
+
+
+def test_errors_count_from_when_the_formation_is_built(scenario: Scenario) -> None:
+    summary = Summary(scenario)
+    for step in range(40):
+        built = step >= 20
+        summary.add(state(step / 10, "running" if built else "forming"))
+        summary.add(truth(step / 10, shift=(0.0 if built else 3.0, 0.0)))
+    assert_errors(summary.figures().peak_error, ZERO)
+
+
+def test_a_task_that_is_followed_by_another_is_not_done(scenario: Scenario) -> None:
+    phases: list[Phase] = ["running", "done", "running", "running"]
+    lasting: list[tuple[list[Phase], bool]] = [([], False), (["done", "done"], True)]
+    for more, ends in lasting:
+        summary = Summary(scenario)
+        for step, phase in enumerate([*phases, *more]):
+            summary.add(state(step / 10, phase))
+            summary.add(truth(step / 10))
+        figures = summary.figures()
+        assert figures.completed == ends
+        assert figures.duration_s == pytest.approx(0.4 if ends else 0.3)
+
+
+def test_the_frame_of_a_robot_begins_at_its_initial_pose(scenario: Scenario) -> None:
+    """The controller works in the frame of r2: what it says is where the world's reference is in it."""
+    frame = Pose(*scenario.robots[1].pose)  # type: ignore[misc]
+    summary = Summary(scenario)
+    for step in range(20):
+        t_s = step / 10
+        wanted = frame.inverse().compose(Pose(2.0, height(t_s), math.pi / 2))
+        summary.add(state(t_s, frame="r2", reference=tuple(wanted)))
+        summary.add(truth(t_s, shift=(0.3, -0.4)))
+    assert_errors(summary.figures().final_error, Errors(0.5, 0.0, 0.0, 0.0), 1e-5)
+
+
+def test_what_dead_reckoning_explains(scenario: Scenario) -> None:
+    """Every robot has turned by 0.1 rad more than it believes, about the middle of its axle; r3 believes to
+    be 0.5 m ahead of where it is, but was not heard lately, and r4 is in no triangle."""
+    summary = Summary(scenario)
+    for step in range(41):
+        t_s = step / 10
+        summary.add(state(t_s, chain=("r1", "r2", "r3")))
+        now = truth(t_s)
+        summary.add(now)
+        for index, (x, y, psi) in enumerate(unpack_floats(now.poses, 3)):
+            robot = scenario.robots[index]
+            origin = Pose(*robot.pose)  # type: ignore[misc]
+            ahead = {2: 0.5, 3: 7.0}.get(index, 0.0)
+            believed = origin.inverse().compose(Pose(x, y, psi - 0.1)).compose(Pose(ahead, 0.0, 0.0))
+            if index != 2 or t_s < 3.0:
+                summary.add(odometry(robot.id, t_s, *believed))
+    found = summary.figures().odometry_drift_m
+    turned = Pose(0.0, 0.0, -0.1).compose(Pose(ahead := 0.5 + ARM, 0.0, 0.0))
+    assert found == pytest.approx(math.hypot(turned.x - ARM, turned.y), abs=1e-5)
+    assert ahead == 0.75
+
+
+def test_no_odometry_no_drift(scenario: Scenario) -> None:
+    assert a_run(scenario).odometry_drift_m is None
+    assert a_run(scenario).lost_robots == []
