@@ -116,7 +116,7 @@ class LinkCounts:
         ]
 
     def spans(self) -> dict[tuple[str, str, str, int], tuple[int, int]]:
-        """Of each (receiver, source, topic, incarnation) the first and the last `seq` its receiver knew of."""
+        """First and last `seq` that the receiver knew of, by (receiver, source, topic, incarnation)."""
         return {key: (flow.first, flow.last) for key, flow in self._flows.items()}
 
     def _refusal(self, call: Call, receiver: str) -> None:

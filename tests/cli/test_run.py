@@ -52,6 +52,8 @@ FIELDS = [
     "messages",
     "command_age_ms",
     "log",
+    "lost_robots",
+    "odometry_drift_m",
     "unrecorded",
     "interrupted",
 ]
