@@ -6,6 +6,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Literal, TypeVar
 
+from msgspec.structs import replace
+
+from maniple.cli.way_file import with_files
 from maniple.core.errors import ScenarioError
 from maniple.core.scenario.check import require_valid
 from maniple.core.scenario.parse import json_data, parameters_of, scenario_of, toml_data, with_overrides
@@ -31,7 +34,7 @@ def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> 
         reason = getattr(error, "strerror", None) or str(error)
         raise ScenarioError(f"{path}: can't be read: {reason}") from None
     form: Literal["toml", "json"] = "json" if path.suffix.lower() == ".json" else "toml"
-    return loads(data, overrides, seed, form=form, source=str(path))
+    return loads(data, overrides, seed, form=form, source=str(path), folder=path.parent)
 
 
 def loads(
@@ -41,27 +44,31 @@ def loads(
     *,
     form: Literal["toml", "json"] = "toml",
     source: str = "scenario",
+    folder: Path = Path(),
 ) -> Scenario:
-    """The scenario in bytes, as `load` gives it; `source` is what messages call them."""
+    """The scenario in bytes, as `load` gives it; `source` is what messages call them, and files it names are
+    relative to `folder`."""
     try:
         if len(data) > LARGEST_FILE:
             raise ScenarioError(f"larger than {LARGEST_FILE >> 20} MiB: not a scenario")
         table = with_overrides(json_data(data) if form == "json" else toml_data(data), overrides)
         if seed is not None:
             table["seed"] = seed
-        return completed(scenario_of(table))
+        return completed(scenario_of(table), folder)
     except ScenarioError as error:
         lines = str(error).splitlines()
         raise ScenarioError("\n".join(f"{source}: {line}" for line in lines)) from None
 
 
-def completed(scenario: Scenario) -> Scenario:
-    """The scenario, resolved with the catalogues and checked.
+def completed(scenario: Scenario, folder: Path = Path()) -> Scenario:
+    """The scenario with the files it names, relative to `folder`, resolved with the catalogues and checked.
 
     Raises:
-        ScenarioError: it can't be resolved or is not valid.
+        ScenarioError: a file can't be read, it can't be resolved, or it is not valid.
     """
-    resolved = resolve(scenario, robot_models(), range_finders())
+    resolved = resolve(
+        replace(scenario, task=with_files(scenario.task, folder)), robot_models(), range_finders()
+    )
     require_valid(resolved)
     return resolved
 

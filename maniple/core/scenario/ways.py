@@ -279,6 +279,20 @@ class Spline:
         return np.stack([along, across, v[..., 2]], axis=-1).reshape(-1, 3)
 
 
+def directions(times_s: Sequence[float], points: Sequence[Point]) -> list[float]:
+    """Heading (rad) along the way at every one of its samples: that of a parabola through its neighbours.
+
+    Where the way stands it stays as before, at the start as after; 0 if it never moves.
+    """
+    where, when = np.array(points, dtype=np.float64), np.array(times_s, dtype=np.float64)
+    moves = np.gradient(where, when, axis=0, edge_order=1 if len(when) < 3 else 2)
+    moving = np.flatnonzero(np.hypot(*moves.T) > 1e-9)
+    if not len(moving):
+        return [0.0] * len(when)
+    last = np.maximum(np.searchsorted(moving, np.arange(len(when)), side="right") - 1, 0)
+    return list(map(float, np.arctan2(moves[:, 1], moves[:, 0])[moving[last]]))
+
+
 def _monotone_slopes(steps: Floats, chords: Floats) -> Floats:
     """Slopes (n, 3) at n moments from the slopes (n - 1, 3) between them: 0 at an extremum, else a weighted
     harmonic mean; at the ends a parabola's, where that does not overshoot."""
