@@ -159,13 +159,19 @@ def crossings(starts: Floats, ends: Floats) -> int:
 
 def separation(starts: Floats, ends: Floats) -> float:
     """The smallest distance (m) between two points that go straight from `starts` (n, 2) to `ends` (n, 2) in
-    step, each always the same share of its way."""
-    i, j = np.triu_indices(len(starts), 1)
-    apart = starts[i] - starts[j]
-    change = ends[i] - ends[j] - apart
-    square = np.maximum((change * change).sum(axis=1), 1e-300)
-    nearest = np.clip(-(apart * change).sum(axis=1) / square, 0.0, 1.0)
-    return float(np.linalg.norm(apart + nearest[:, None] * change, axis=1).min())
+    step, each always at the same share of its way as the others."""
+    return float(approaches(starts, ends).min())
+
+
+def approaches(starts: Floats, ends: Floats) -> Floats:
+    """The same for every pair, (n, n); infinite for a point and itself."""
+    apart = starts[:, None] - starts[None]
+    change = ends[:, None] - ends[None] - apart
+    square = np.maximum((change * change).sum(axis=-1), 1e-300)
+    nearest = np.clip(-(apart * change).sum(axis=-1) / square, 0.0, 1.0)
+    out = np.linalg.norm(apart + nearest[..., None] * change, axis=-1)
+    np.fill_diagonal(out, np.inf)
+    return np.asarray(out)
 
 
 class Straight:
