@@ -13,6 +13,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
+import numpy as np
 import pytest
 
 import maniple
@@ -263,6 +264,53 @@ def assert_brakes_by_itself(log: Path, heard: list[Truth], killed_at: Time) -> N
     late = [m for m in heard if m.stamp_ns > killed_at + round((timeout_s + 1.0) * SECOND)]
     assert late
     assert all(speeds(message)[1] < 1e-3 for message in late)
+
+
+@pytest.mark.slow
+def test_a_killed_robot_is_left_out_and_comes_back(tmp_path: Path) -> None:
+    """The fourth of six is killed; the others are in formation again; a new agent makes them six."""
+    scenario = Path(__file__).parents[2] / "scenarios" / "lost-robot.toml"
+    states: SimpleQueue[FormationState] = SimpleQueue()
+
+    def hear(topic: str, data: bytes) -> None:
+        message = codec.decode(topic, data)
+        assert isinstance(message, FormationState)
+        states.put(message)
+
+    def wait_for(robots: int) -> FormationState:
+        """Until as many are in formation, as the controller sees it."""
+        until = time.monotonic() + 120.0
+        while time.monotonic() < until:
+            state = states.get(timeout=30)
+            errors = unpack_floats(state.errors, 6)
+            close = len(errors) == robots - 2 and np.abs(errors).max() < 0.1
+            if close and not state.waits_for and state.task_time_s > 2.0:
+                return state
+        raise AssertionError(f"{robots} robots were never in formation: {state}")
+
+    with running(tmp_path, scenario, "--speed", SPEED, "--set", "crashes=[]") as run:
+        eventually(lambda: len(run.children()) == 10)
+        connect = run.option("--connect")
+        with ZenohSession.client(connect, "maniple") as session:
+            session.subscribe(topics.FORMATION_STATE, hear)
+            wait_for(6)
+            pid = run.children()["r4"]
+            os.kill(pid, signal.SIGKILL)
+            lost = wait_for(5)
+            assert lost.chain == ("r1", "r2", "r3", "r5", "r6")
+            assert [report.state for report in lost.roster if report.id == "r4"] == ["lost"]
+            again = ("--scenario", scenario, "--connect", connect, "--anchor", run.option("--anchor"))
+            with start("agent", "r4", *again) as agent:
+                back = wait_for(6)
+                assert sorted(back.chain) == ["r1", "r2", "r3", "r4", "r5", "r6"]
+                status, result, err = run.finish(within_s=200.0)
+                agent.send_signal(signal.SIGINT)
+                agent.communicate(timeout=30)
+    assert (status, result["completed"], result["collisions"]) == (0, True, 0)
+    assert result["lost_robots"] == ["r4"]
+    assert f"r4 (process {pid}) was killed by SIGKILL; 5 robots go on" in err
+    assert "r4 is back (incarnation 2)" in err
+    assert result["final_error"]["position_m"] < 0.1
 
 
 @pytest.mark.slow
