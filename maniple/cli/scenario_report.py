@@ -8,14 +8,33 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from central_controller.reference import duration_s
+from central_controller.reference import Course
 from maniple.control.limits import age_limits
 from maniple.control.pipeline import central_layers, onboard_layers
 from maniple.core import topics
 from maniple.core.faults import matches
 from maniple.core.layers import Layer
-from maniple.core.scenario.places import desired_shapes
-from maniple.core.scenario.types import Fault, Point, Scenario
+from maniple.core.scenario import fields
+from maniple.core.scenario.places import (
+    desired_shapes,
+    end_pose,
+    fastest_mps,
+    fastest_place_mps,
+    legs_of,
+    start_pose,
+)
+from maniple.core.scenario.types import (
+    Fault,
+    FigureEight,
+    Leg,
+    Orbit,
+    Point,
+    Positioning,
+    Samples,
+    Scenario,
+    Waypoints,
+)
+from maniple.core.scenario.ways import way_of
 
 
 class RobotPlan(msgspec.Struct, frozen=True):
@@ -42,6 +61,23 @@ class TrianglePlan(msgspec.Struct, frozen=True):
     beta_rad: float
 
 
+class LegPlan(msgspec.Struct, frozen=True):
+    """One part of the task."""
+
+    kind: str
+    what: str
+    start: tuple[float, float, float]
+    """Pose of the formation's frame, m, m, rad."""
+    end: tuple[float, float, float]
+    length_m: float
+    fastest_mps: float
+    """Of the formation's frame."""
+    duration_s: float
+    """With the rest at its end."""
+    estimated: bool
+    """Whether the duration is: positioning takes as long as it takes."""
+
+
 class LinkPlan(msgspec.Struct, frozen=True):
     """What faults do to the messages of one topic on their way between two nodes."""
 
@@ -62,7 +98,13 @@ class Plan(msgspec.Struct, frozen=True):
     task: str
     length_m: float
     duration_s: float
+    legs: tuple[LegPlan, ...]
+    """The parts of a sequence, or the whole task."""
+    fastest_place_mps: float
+    """Of all places of the formation, on the outside of turns too."""
     robot_from: Layer
+    notes: tuple[str, ...]
+    """What else is not as by default: planning, waiting, deaths, where the controller runs."""
     obstacles: int
     robots: tuple[RobotPlan, ...]
     triangles: tuple[TrianglePlan, ...]
@@ -73,13 +115,17 @@ class Plan(msgspec.Struct, frozen=True):
 def plan_of(scenario: Scenario) -> Plan:
     """What a resolved, valid scenario would run."""
     task = scenario.task
+    legs = _leg_plans(scenario)
     return Plan(
         scenario=scenario.name,
         valid=True,
         seed=scenario.seed,
-        task="line",
-        length_m=math.dist(task.start, task.end),
-        duration_s=duration_s(task),
+        task=str(fields.type_of(type(task)).tag),
+        length_m=math.fsum(leg.length_m for leg in legs),
+        duration_s=math.fsum(leg.duration_s for leg in legs),
+        legs=legs,
+        fastest_place_mps=fastest_place_mps(scenario),
+        notes=tuple(_notes(scenario)),
         robot_from=scenario.placement.robot_from,
         obstacles=len(scenario.world.obstacles),
         robots=tuple(_robot_plan(scenario, index) for index in range(len(scenario.robots))),
@@ -91,9 +137,11 @@ def plan_of(scenario: Scenario) -> Plan:
 
 
 def fleet_links(scenario: Scenario) -> Iterator[tuple[str, str, str]]:
-    """Source, destination and topic of every link between the controller and the robots."""
+    """Source, destination and topic of every link between the controller and a robot of another computer."""
     ranges = "avoidance" in central_layers(scenario.placement.robot_from) and scenario.avoidance.enabled
     for robot in scenario.robots:
+        if robot.id == scenario.controller.host:
+            continue
         yield "controller", robot.id, topics.command(robot.id)
         yield robot.id, "controller", topics.odometry(robot.id)
         yield robot.id, "controller", topics.status(robot.id)
@@ -107,12 +155,89 @@ def picture(plan: Plan) -> Group:
     head = (
         f"{plan.scenario}: {len(plan.robots)} robots, {len(plan.triangles)} triangles, "
         f"{plan.obstacles} obstacles, seed {plan.seed}\n"
-        f"task: {plan.task} of {plan.length_m:g} m in {plan.duration_s:g} s\n"
-        f"on the robots: {onboard}\n"
+        f"task: {_task_text(plan)}\n"
+        f"on the robots: {onboard}\n" + "".join(f"{note}\n" for note in plan.notes)
     )
     faults = _links_table(plan.links) if plan.links else Text("no faults on any link")
     parts: list[RenderableType] = [Text(head), _robots_table(plan.robots), Text()]
+    if len(plan.legs) > 1:
+        parts[1:1] = [_legs_table(plan.legs), Text()]
     return Group(*parts, _triangles_table(plan.triangles), Text(), faults)
+
+
+def _leg_plans(scenario: Scenario) -> tuple[LegPlan, ...]:
+    course = Course(scenario.task, scenario.controller)
+    plans = []
+    for index, leg in enumerate(legs_of(scenario.task)):
+        way = way_of(leg)
+        plans.append(
+            LegPlan(
+                kind=str(fields.type_of(type(leg)).tag),
+                what=_leg_text(leg),
+                start=start_pose(leg),
+                end=end_pose(leg),
+                length_m=way.length_m,
+                fastest_mps=fastest_mps(leg),
+                duration_s=course.duration_s(index),
+                estimated=isinstance(leg, Positioning),
+            )
+        )
+    return tuple(plans)
+
+
+def _leg_text(leg: Leg) -> str:
+    match leg:
+        case Waypoints(points=points, facing=facing):
+            return f"way through {len(points)} points{_facing(facing)}"
+        case Orbit(turns=turns, radius_m=radius, facing=facing):
+            side = "clockwise, " if leg.clockwise else ""
+            return f"{side}{turns:g} x round a circle of radius {radius:g} m{_facing(facing)}"
+        case FigureEight(laps=laps, size_m=size, facing=facing):
+            return f"{laps:g} x through a figure eight of loops of {size:g} m{_facing(facing)}"
+        case Samples(times_s=times):
+            return f"way through {len(times)} samples"
+        case Positioning(target=target):
+            return f"positioning at {', '.join(f'{value:g}' for value in target)}"
+        case _:
+            return "line"
+
+
+def _facing(facing: str) -> str:
+    return ", not turning" if facing == "fixed" else ""
+
+
+def _task_text(plan: Plan) -> str:
+    """The task in one line."""
+    about = "about " if any(leg.estimated for leg in plan.legs) else ""
+    lasts = f"{about}{plan.duration_s:.4g} s"
+    if len(plan.legs) > 1:
+        return f"{len(plan.legs)} in sequence, {plan.length_m:.4g} m in {lasts}"
+    (leg,) = plan.legs
+    if leg.estimated:
+        return f"{leg.what}, in {lasts}"
+    faster = plan.fastest_place_mps > 1.001 * leg.fastest_mps
+    places = f", places at up to {plan.fastest_place_mps:.3g} m/s" if faster else ""
+    return f"{leg.what}, {leg.length_m:.4g} m in {lasts}, at up to {leg.fastest_mps:.3g} m/s{places}"
+
+
+def _notes(scenario: Scenario) -> Iterator[str]:
+    planning, waiting = scenario.planning, scenario.waiting
+    if planning.method != "given":
+        yield f"who takes which place: {planning.method}"
+    if planning.relabel:
+        yield "places are numbered anew"
+    if planning.build != "off":
+        how = (
+            f"straight, at up to {planning.speed_mps:g} m/s" if planning.build == "straight" else "by the law"
+        )
+        yield f"the formation is built first: {how}"
+    if waiting.enabled:
+        yield f"the reference slows from {waiting.free_m:g} m of error on, and stands at {waiting.stop_m:g} m"
+    if scenario.controller.host is not None:
+        yield f"the controller runs on {scenario.controller.host}, in its odometry frame"
+    for crash in scenario.crashes:
+        back = "" if crash.restart_after_s is None else f", and is back {crash.restart_after_s:g} s later"
+        yield f"{crash.node} dies at {crash.at_s:g} s{back}"
 
 
 def _robot_plan(scenario: Scenario, index: int) -> RobotPlan:
@@ -151,6 +276,19 @@ def _table(left: Sequence[str], right: Sequence[str]) -> Table:
         table.add_column(name, no_wrap=True)
     for name in right:
         table.add_column(name, no_wrap=True, justify="right")
+    return table
+
+
+def _legs_table(legs: Sequence[LegPlan]) -> Table:
+    numbers = ("from (m, m, rad)", "to (m, m, rad)", "length (m)", "fastest (m/s)", "time (s)")
+    table = _table(("", "task"), numbers)
+    for index, leg in enumerate(legs):
+        ends = (", ".join(f"{value:.2f}" for value in pose) for pose in (leg.start, leg.end))
+        if leg.estimated:
+            table.add_row(str(index), leg.what, *ends, "", "", f"about {leg.duration_s:.1f}")
+        else:
+            figures = (f"{leg.length_m:.2f}", f"{leg.fastest_mps:.3f}", f"{leg.duration_s:.1f}")
+            table.add_row(str(index), leg.what, *ends, *figures)
     return table
 
 

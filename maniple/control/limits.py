@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from maniple.core.layers import onboard_layers
 from maniple.core.scenario import outline
-from maniple.core.scenario.places import fastest_mps
+from maniple.core.scenario.places import fastest_place_mps
 from maniple.core.scenario.types import Robot, RobotModel, Scenario
 
 
@@ -115,7 +115,7 @@ def age_limits(scenario: Scenario, robot: Robot) -> tuple[float, float]:
             tolerated = 0.8 * math.pi / (2.0 * _planar(gains.kappa))
         else:
             theta = scenario.model_of(robot).theta
-            speed = max(fastest_mps(scenario.task), _planar(gains.saturation))
+            speed = max(fastest_place_mps(scenario), _planar(gains.saturation))
             tolerated = 0.5 * math.pi * robot.control_point_m / speed - theta[0] / theta[3]
         stop = max(tolerated, 3.0 / scenario.rates.control_hz)
     return min(law.hold_after_s if law.hold_after_s is not None else 0.5 * stop, stop), stop

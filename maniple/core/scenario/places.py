@@ -1,6 +1,7 @@
 """Where the desired formation is, how fast its places move, and the shapes of its chain of triangles."""
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 from maniple.core.geometry import Pose
@@ -61,6 +62,18 @@ def fastest_mps(task: Task, place: Point = (0.0, 0.0)) -> float:
         ScenarioError: a file of the task has not been loaded.
     """
     return max(speed_at(way_of(leg).twists(), place) for leg in legs_of(task))
+
+
+def fastest_place_mps(scenario: Scenario) -> float:
+    """Largest speed (m/s) of the formation's frame and of all its places during the task of a resolved
+    scenario."""
+    return _fastest_place(scenario.task, scenario.formation.points)
+
+
+@lru_cache(maxsize=16)
+def _fastest_place(task: Task, places: tuple[Point, ...]) -> float:
+    twists = [way_of(leg).twists() for leg in legs_of(task)]
+    return max(speed_at(one, place) for one in twists for place in ((0.0, 0.0), *places))
 
 
 def desired_shapes(scenario: Scenario) -> list[Shape]:

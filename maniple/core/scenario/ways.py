@@ -36,6 +36,10 @@ class Way(Protocol):
     def travel_s(self) -> float:
         """How long it takes; 0 for a frame that stands."""
 
+    @property
+    def length_m(self) -> float:
+        """How far the frame's origin goes."""
+
     def at(self, t_s: float) -> tuple[Pose, Velocity]:
         """Pose and its derivative at 0 <= t_s <= travel_s."""
 
@@ -94,11 +98,12 @@ class Travel:
         self._path = path
         self._speed = speed_mps
         self._heading = None if facing == "along" else path.at(0.0)[0].psi
+        self.length_m = path.length_m
         self.travel_s = path.length_m / speed_mps
 
     def at(self, t_s: float) -> tuple[Pose, Velocity]:
         """See `Way`."""
-        on, curvature = self._path.at(min(self._speed * t_s, self._path.length_m))
+        on, curvature = self._path.at(min(self._speed * t_s, self.length_m))
         vx, vy = self._speed * math.cos(on.psi), self._speed * math.sin(on.psi)
         if self._heading is None:
             return on, (vx, vy, self._speed * curvature)
@@ -202,8 +207,8 @@ class Lemniscate:
 
     def curvatures(self) -> Floats:
         """See `Path`."""
-        s = min(self.length_m / self._size, self._lap) * np.linspace(0.0, 1.0, 721)
-        return _unit_curvature(np.array([self._angle(one) for one in s])) / self._size
+        farthest = self._angle(min(self.length_m / self._size, self._lap))
+        return _unit_curvature(farthest * np.linspace(0.0, 1.0, 721)) / self._size
 
     @staticmethod
     def _angle(s: float) -> float:
@@ -258,6 +263,14 @@ class Spline:
         self._times = [float(t) for t in times_s]
         self._rows: list[list[list[float]]] = self._cubics.tolist()
         self.travel_s = self._times[-1]
+
+    @property
+    def length_m(self) -> float:
+        """See `Way`; in chords, eight between two samples."""
+        u = np.linspace(0.0, 1.0, 9)[:, None, None] * self._steps[:, None]
+        a, b, c, d = (self._cubics[None, :, k, :2] for k in range(4))
+        points = a + u * (b + u * (c + u * d))
+        return float(np.hypot(*np.moveaxis(np.diff(points, axis=0), -1, 0)).sum())
 
     def at(self, t_s: float) -> tuple[Pose, Velocity]:
         """See `Way`."""
@@ -325,6 +338,7 @@ class Stand:
     """A frame that stays where it is."""
 
     travel_s = 0.0
+    length_m = 0.0
 
     def __init__(self, pose: Pose) -> None:
         self._pose = pose

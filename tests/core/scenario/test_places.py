@@ -6,7 +6,7 @@ import pytest
 
 from maniple.core.geometry import Pose
 from maniple.core.scenario.parse import scenario_of
-from maniple.core.scenario.places import desired_shapes, end_pose, fastest_mps, start_pose
+from maniple.core.scenario.places import desired_shapes, end_pose, fastest_mps, fastest_place_mps, start_pose
 from maniple.core.scenario.types import Line, Orbit, Positioning, Samples, Sequence
 from maniple.core.scenario.ways import way_of
 
@@ -82,3 +82,11 @@ def test_a_chain_has_a_triangle_for_each_robot_but_two(data: dict[str, Any]) -> 
     for before, after in pairwise(shapes):
         r = math.sqrt(before.p**2 + before.q**2 - 2 * before.p * before.q * math.cos(before.beta))
         assert after.p == pytest.approx(r), "the next triangle's p is the side opposite R1"
+
+
+def test_the_fastest_place_of_a_formation(data: dict[str, Any]) -> None:
+    data["task"] = {"kind": "circle", "centre": [0, 0], "radius_m": 2, "speed_mps": 0.3}
+    data["formation"]["points"] = [[0, 0.5], [1.5, 0], [0, -0.4]]
+    assert fastest_place_mps(scenario_of(data)) == pytest.approx(0.3 * 2.5 / 2)
+    data["formation"]["points"] = [[0, 0.5], [0, 1], [0.1, 1]]
+    assert fastest_place_mps(scenario_of(data)) == pytest.approx(0.3), "of the frame itself"
