@@ -9,11 +9,12 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import combinations, permutations
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from maniple.control.parts import Planner
 from maniple.core.errors import MissingExtraError
 from maniple.core.geometry import Floats
 from maniple.core.scenario import outline
@@ -25,13 +26,6 @@ NEAR_M = 0.05
 
 EXACT = 7
 """Up to so many places every order is tried."""
-
-
-class Planner(Protocol):
-    """Decides who takes which place."""
-
-    def __call__(self, positions: Floats, places: Floats) -> Sequence[int]:
-        """The order of the robots at `positions` (n, 2): the k-th takes the k-th of `places` (n, 2)."""
 
 
 def given(positions: Floats, places: Floats) -> Sequence[int]:

@@ -2,7 +2,7 @@
 
 import typer
 
-from maniple.cli import log_commands, node_commands, run_command, scenario_commands
+from maniple.cli import log_commands, node_commands, plan_command, run_command, scenario_commands
 from maniple.core.version import __version__
 
 app = typer.Typer(
@@ -19,6 +19,7 @@ def _pass_on(context: typer.Context) -> None:
 
 
 app.command("run")(run_command.run)
+app.command("plan")(plan_command.show)
 for _name, _about in node_commands.COMMANDS.items():
     app.command(
         _name,
