@@ -12,7 +12,15 @@ from typing import NamedTuple
 
 from benchmarks.common import Row, show
 
-NAMES = ("virtual_run", "range_kernel", "formation_tick", "recorder", "round_trip", "agent_footprint")
+NAMES = (
+    "virtual_run",
+    "range_kernel",
+    "formation_tick",
+    "recorder",
+    "round_trip",
+    "agent_footprint",
+    "compensation",
+)
 """Modules with a `TITLE` and `rows(quick)`, in the order of the table."""
 
 

@@ -14,9 +14,9 @@ a robot that has one is treated like u, without coupling.
 
 What the paper leaves open: derivatives come from a filter, see `Derivative`; a parameter stays within a
 factor of `SPREAD` of the model's, and th3 and th5, which may be of either sign, within `SPREAD` times the
-model's either way, or `COUPLING`; nothing is adapted, nor forgotten, while the robot is not told what the law
-gave (`free`), while that is more than it can do, or while it is to stand: the error is then not the
-parameters' doing.
+model's either way, or `COUPLING`. Nothing is adapted, nor forgotten, while the error is not the parameters'
+doing: while the robot is not told what the law gave (`free`), while that is more than its speed and
+acceleration limits let it do, and while it is to stand.
 """
 
 import math
@@ -26,8 +26,10 @@ from maniple.control.limits import Velocity
 from maniple.control.parts import refuse_options
 from maniple.core.scenario.types import Compensation, RobotModel, Six
 
-SPREAD = 3.0
-"""A parameter is adapted to at most this many times the model's, and at least its inverse."""
+SPREAD = 1.6
+"""A parameter is adapted to at most this many times the model's, and at least its inverse. Enough for a model
+that is wrong by a third. s1 u~ is a square but for u_d', so th1 and th2 only ever grow while errors last, and
+the feedback k_u th1^ / th1 with them: at twice the true parameter the loop sampled at 0.1 s rings."""
 
 COUPLING = 0.1
 """What th3 and th5 may be in any case, s m/rad^2 and s/m: a little more than any measured Pioneer's."""
@@ -112,6 +114,7 @@ class Adaptive:
             for th, (low, high) in zip(model.theta, self._bounds, strict=True)
         )
         self._model = model
+        self._told = Velocity()
         self._rates = tuple(Derivative(parameters.filter_s) for _ in Velocity())
 
     @property
@@ -124,8 +127,9 @@ class Adaptive:
         rates = Velocity(*(d.step(x, dt_s) for d, x in zip(self._rates, desired, strict=True)))
         terms = Terms(desired, measured, corrected(self._parameters, desired, measured, rates))
         told = reference(self._theta, terms)
-        if self._parameters.adapt and free and any(desired) and self._can(told):
+        if self._parameters.adapt and free and any(desired) and self._can(told, dt_s):
             self._adapt(regressor(terms), dt_s)
+        self._told = told
         return told
 
     def _adapt(self, pull: Six, dt_s: float) -> None:
@@ -139,13 +143,16 @@ class Adaptive:
             after.append(min(max(th + lasting * (gamma * r - sigma * th), low), high))
         self._theta = tuple(after)
 
-    def _can(self, told: Velocity) -> bool:
-        """Whether the robot can do what it is told."""
-        model = self._model
+    def _can(self, told: Velocity, dt_s: float) -> bool:
+        """Whether the robot can do what it is told after what it was told before."""
+        model, before = self._model, self._told
         return (
             abs(told.u) <= model.u_max_mps
             and abs(told.w) <= model.w_max_radps
             and abs(told.v) <= (model.v_max_mps or 0.0)
+            and abs(told.u - before.u) <= model.u_accel_mps2 * dt_s
+            and abs(told.w - before.w) <= model.w_accel_radps2 * dt_s
+            and abs(told.v - before.v) <= model.u_accel_mps2 * dt_s
         )
 
 
