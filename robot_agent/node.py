@@ -10,6 +10,7 @@ from maniple.control.parts import Parts
 from maniple.control.pipeline import Pipeline, onboard_layers
 from maniple.core import topics
 from maniple.core.errors import ScenarioError
+from maniple.core.geometry import Pose
 from maniple.core.messages import (
     Command,
     Counters,
@@ -43,7 +44,9 @@ _STANDING = Velocity()
 class RobotAgent:
     """Guides one robot of a resolved scenario: from the cut of the layers on, and with the last word.
 
-    `incarnation` is the life of this agent: commands that answer an earlier one are not acted on.
+    `incarnation` is the life of this agent: commands that answer an earlier one are not acted on. A later
+    life than the first resumes the odometry frame of the one before, from its last odometry and the encoder
+    counts since. Until it hears that it goes by a frame of its own, named otherwise, and takes no commands.
 
     Raises:
         ScenarioError: the scenario has no such robot, or its driver can't be commanded.
@@ -65,9 +68,15 @@ class RobotAgent:
         self._motion_stale = _stale_after(topics.motion(robot_id), capabilities.motion_hz)
         self._wheels = dead_reckoning.wheels_of(model)
         self._pipeline = Pipeline(onboard_layers(layer), scenario, robot, parts)
-        self._sensing = RangeSensing(_stale_after(topics.scan(robot_id), capabilities.scan_hz))
+        self._scan_stale = _stale_after(topics.scan(robot_id), capabilities.scan_hz)
+        self._sensing = RangeSensing(self._scan_stale)
         self._orders = Orders(layer, incarnation)
         self._reckoning = dead_reckoning.Reckoning()
+        self._incarnation = incarnation
+        self._localised = incarnation <= 1
+        self._resumed_at: Time = 0
+        self._former: Odometry | None = None
+        self._first: tuple[Motion, Time] | None = None
         self._motion: Motion | None = None
         self._motion_at: Time = 0
         self._mode: Mode = "waiting"
@@ -84,6 +93,7 @@ class RobotAgent:
             topics.motion(robot_id): self._on_motion,
             topics.scan(robot_id): self._on_scan,
             topics.command(robot_id): self._on_command,
+            self._odometry: self._on_own_odometry,
         }
 
     @property
@@ -122,6 +132,9 @@ class RobotAgent:
 
     def _on_motion(self, motion: Motion, now: Time) -> Sequence[Outgoing]:
         """Advance the dead reckoning. A driver that lives or was set up anew counts from a new origin."""
+        if len(motion.ticks) != len(self._wheels.ahead):
+            self._counted["refused_ticks"] += 1
+            return ()
         state, before = self._reckoning, self._motion
         if before is not None and not (
             motion.incarnation == before.incarnation and COUNTS[before.state] and COUNTS[motion.state]
@@ -131,17 +144,45 @@ class RobotAgent:
         if jumped:
             self._counted["encoder_jumps"] += 1
         self._motion, self._motion_at = motion, now
-        pose, u, w, _, _ = self._reckoning
+        if self._first is None:
+            self._first = motion, now
+        resumed = self._resume(now)
+        pose, (u, w, v) = self._reckoning.pose, self._reckoning.velocity
         odometry = Odometry(
-            frame_id=self._frame,
+            frame_id=self._frame if self._localised else f"{self._frame}/{self._incarnation}",
             x_m=pose.x,
             y_m=pose.y,
             psi_rad=pose.psi,
             u_mps=u,
             w_radps=w,
+            v_mps=v,
             applied=self._applied,
+            ticks=motion.ticks,
+            motion_incarnation=motion.incarnation,
         )
-        return (Outgoing(self._odometry, odometry),)
+        return (*resumed, Outgoing(self._odometry, odometry))
+
+    def _on_own_odometry(self, odometry: Odometry, now: Time) -> Sequence[Outgoing]:
+        """The last word of an earlier life."""
+        if odometry.incarnation < self._incarnation and odometry.frame_id == self._frame:
+            self._former = odometry
+        return self._resume(now)
+
+    def _resume(self, now: Time) -> Sequence[Outgoing]:
+        """Go on in the frame of the life before, as soon as its odometry and the counts are known: the robot
+        went on an arc in between, or stayed where it was if the counts began anew."""
+        former = self._former
+        if self._localised or former is None or self._first is None:
+            return ()
+        motion, counted_at = self._first
+        same = motion.incarnation == former.motion_incarnation and len(former.ticks) == len(motion.ticks)
+        pose = Pose(former.x_m, former.y_m, former.psi_rad)
+        last = dead_reckoning.Reckoning(pose, ticks=former.ticks if same else None, stamp=former.stamp_ns)
+        origin, _ = dead_reckoning.step(self._wheels, last, motion.ticks, counted_at)
+        self._reckoning = self._reckoning._replace(pose=origin.pose.compose(self._reckoning.pose))
+        self._sensing = RangeSensing(self._scan_stale)
+        self._localised, self._resumed_at = True, now
+        return (self._report(now),)
 
     def _on_scan(self, scan: Scan, now: Time) -> Sequence[Outgoing]:
         """Pass it on as it is, mount included."""
@@ -150,6 +191,9 @@ class RobotAgent:
         return (Outgoing(self._ranges, scan),)
 
     def _on_command(self, command: Command, now: Time) -> Sequence[Outgoing]:
+        if not self._localised or command.answers.stamp_ns < self._resumed_at:
+            self._counted["refused_unlocalised"] += 1
+            return ()
         refusal = self._orders.take(command, now)
         if refusal is not None:
             self._counted[f"refused_{refusal}"] += 1
@@ -173,7 +217,7 @@ class RobotAgent:
         if command is None:
             return self._stand()
         seen = self._sensing.latest(now)
-        measured = Velocity(self._reckoning.u, self._reckoning.w)
+        measured = self._reckoning.velocity
         wanted = self._pipeline.step(
             (*command.values, command.third), pose.psi, seen, measured, dt_s, self._wanted == self._sent
         )
@@ -239,6 +283,7 @@ class RobotAgent:
             reason=self._reason(age_s, now),
             counters={**self._host_counters, **self._counted},
             compensation=self._pipeline.compensation,
+            localised=self._localised,
         )
         self._oldest_s = -1.0
         return Outgoing(self._status, status)
@@ -260,6 +305,8 @@ class RobotAgent:
             return motion.reason or f"the drive is {state}"
         if event == "driver_ready":
             return "the drive is not active yet"
+        if not self._localised:
+            return "restarted, and has not heard where its odometry frame lies"
         if self._orders.command is None:
             return "no command yet"
         if age_s < self._limits.stop_s and self._blind(now):

@@ -1,20 +1,23 @@
 """The simulator as a node: orders to drives in; encoder counts, scans and ground truth out."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TypedDict
 
 import numpy as np
 
 from maniple.core import topics
-from maniple.core.geometry import Floats, Pose
+from maniple.core.geometry import Floats
 from maniple.core.messages import Drive, Motion, Scan, Truth, pack_floats
 from maniple.core.node import Outgoing, Received
-from maniple.core.scenario.types import RangeFinder, Scenario
+from maniple.core.scenario.types import PoseXY, RangeFinder, Scenario
 from maniple.core.time import Duration, Time, period
 from simulator.noise import RangeNoise
 from simulator.physics import Physics
 from simulator.range_finder import Fan, sweep
 from simulator.world import Complexes, Scene, outlines
+
+_RAYS_RAD = math.radians(1.0)
 
 
 class Simulator:
@@ -70,15 +73,18 @@ class Simulator:
     def _motions(self) -> list[Outgoing]:
         physics = self._physics
         return [
-            Outgoing(topic, Motion(ticks=ticks, applied=applied, state=state, controllable=True))
-            for topic, ticks, (applied, state) in zip(
+            Outgoing(
+                topic,
+                Motion(ticks=ticks, applied=(u, w), applied_v_mps=v, state=state, controllable=True),
+            )
+            for topic, ticks, ((u, w, v), state) in zip(
                 self._motion_topics, physics.ticks(), physics.drives(), strict=True
             )
         ]
 
     def _scans(self) -> list[Outgoing]:
         position, heading = self._physics.position(), self._physics.heading()
-        self._scene.place(position, heading)
+        self._scene.place(self._physics.centres(), heading)
         scans = [scan for bank in self._banks for scan in bank.scans(position, heading, self._scene)]
         if len(self._banks) > 1:
             scans.sort(key=lambda scan: scan[0])
@@ -86,6 +92,7 @@ class Simulator:
 
     def _truth(self) -> Outgoing:
         clearances, collisions, contacts = self._physics.contacts()
+        sideways = self._physics.sideways()
         truth = Truth(
             robots=self._robots,
             poses=pack_floats(self._physics.poses()),
@@ -93,6 +100,7 @@ class Simulator:
             clearances=pack_floats(clearances),
             collisions=collisions,
             contacts=contacts,
+            sideways=b"" if sideways is None else pack_floats(sideways),
         )
         return Outgoing(topics.TRUTH, truth)
 
@@ -105,29 +113,38 @@ class ScanHeader(TypedDict):
     range_min_m: float
     range_max_m: float
     mount: tuple[float, float, float]
+    beams: bytes
+    cone_rad: float
 
 
 class _SensorBank:
-    """The range finders of one type."""
+    """The range finders of one type: each of its eyes, the laser or the transducers, sweeps a fan.
+
+    The cone of a transducer is sampled by a fan of rays, of which the shortest counts.
+    """
 
     def __init__(self, scenario: Scenario, sensor: str) -> None:
         kind = scenario.sensors[sensor]
         carriers = [(i, robot) for i, robot in enumerate(scenario.robots) if robot.sensor == sensor]
-        mounts = [Pose(*scenario.model_of(robot).sensor_mount) for _, robot in carriers]
+        eyes = [kind.transducers or (scenario.model_of(robot).sensor_mount,) for _, robot in carriers]
         self._rows = np.array([i for i, _ in carriers])
-        self._fan = Fan(kind)
+        self._fan = Fan(cone_of(kind) if kind.transducers else kind)
+        self._is_array = bool(kind.transducers)
         self._noise = RangeNoise(scenario.seed, [robot.id for _, robot in carriers], kind)
-        self._offset = np.array([complex(mount.x, mount.y) for mount in mounts])
-        self._turn = np.array([mount.psi for mount in mounts])
+        self._offset = np.array([[complex(x, y) for x, y, _ in places] for places in eyes])
+        self._turn = np.array([[turn for *_, turn in places] for places in eyes])
+        self._own = np.repeat(self._rows, self._turn.shape[1])
         self._topics = tuple(topics.scan(robot.id) for _, robot in carriers)
-        self._headers = tuple(_header(kind, mount) for mount in mounts)
+        self._headers = tuple(_header(kind, places[0]) for places in eyes)
 
     def scans(self, position: Complexes, heading: Floats, scene: Scene) -> list[tuple[int, Outgoing]]:
         """One sweep of each, from robots at `position` (m) and `heading` (rad), shape (n,), with the index
         of the robot."""
-        heading = heading[self._rows]
-        origin = position[self._rows] + self._offset * np.exp(1j * heading)
-        ranges = sweep(self._fan, origin, heading + self._turn, self._rows, scene)
+        heading = heading[self._rows, None]
+        origin = position[self._rows, None] + self._offset * np.exp(1j * heading)
+        ranges = sweep(self._fan, origin.ravel(), (heading + self._turn).ravel(), self._own, scene)
+        if self._is_array:
+            ranges = ranges.min(axis=1).reshape(self._turn.shape)
         readings = self._noise.apply(ranges).astype("<f4")
         return [
             (row, Outgoing(topic, Scan(ranges=reading.tobytes(), **header)))
@@ -137,12 +154,25 @@ class _SensorBank:
         ]
 
 
-def _header(kind: RangeFinder, mount: Pose) -> ScanHeader:
+def cone_of(kind: RangeFinder) -> RangeFinder:
+    """The fan of rays that samples the cone of a transducer, at most a degree apart."""
+    gaps = max(math.ceil(kind.cone_rad / _RAYS_RAD), 1)
+    return RangeFinder(
+        beams=gaps + 1 if kind.cone_rad else 1,
+        first_angle_rad=-0.5 * kind.cone_rad,
+        increment_rad=kind.cone_rad / gaps or 1.0,
+        range_max_m=kind.range_max_m,
+    )
+
+
+def _header(kind: RangeFinder, mount: PoseXY) -> ScanHeader:
     """The limits are what float32 makes of them, so that "nothing seen" equals `range_max_m` exactly."""
     return ScanHeader(
         first_angle_rad=kind.first_angle_rad,
         increment_rad=kind.increment_rad,
         range_min_m=kind.range_min_m,
         range_max_m=float(np.float32(kind.range_max_m)),
-        mount=(mount.x, mount.y, mount.psi),
+        mount=(0.0, 0.0, 0.0) if kind.transducers else mount,
+        beams=pack_floats(kind.transducers) if kind.transducers else b"",
+        cone_rad=kind.cone_rad,
     )

@@ -21,10 +21,10 @@ class RangeNoise:
     def __init__(self, seed: int, robots: Sequence[str], sensor: RangeFinder) -> None:
         self._sensor = sensor
         self._generators = tuple(stream(seed, f"scan/{robot}") for robot in robots)
-        self._errors = np.zeros((len(robots), sensor.beams))
+        self._errors = np.zeros((len(robots), sensor.readings))
 
     def apply(self, ranges: Floats) -> Floats:
-        """Readings of true `ranges` (m, shape (robots, beams)); what is at `range_max_m` or beyond stays
+        """Readings of true `ranges` (m, shape (robots, readings)); what is at `range_max_m` or beyond stays
         exactly there. A sweep draws the same number of errors whatever is seen."""
         sensor = self._sensor
         readings = self._errors

@@ -83,6 +83,12 @@ def outlines(models: Sequence[RobotModel]) -> Complexes:
     return np.array([complex(0.5 * m.length_m, 0.5 * m.width_m) for m in models])
 
 
+def centres(position: Complexes, heading: Floats, offset: Floats) -> Complexes:
+    """The middles of the bodies of robots at `position` (m) and `heading` (rad), shape (..., n), whose bodies
+    are `offset` (m, shape (n,)) ahead of their axles."""
+    return position + offset * np.exp(1j * heading) if offset.any() else position
+
+
 class Scene:
     """What beams can hit: circles, walls, and solids (boxes, polygons, robots) of directed edges.
 
@@ -132,7 +138,8 @@ class Scene:
         self.first_robot: int = len(edged)
 
     def place(self, position: Complexes, heading: Floats) -> None:
-        """Put the robots' outlines at `position` (shape (n,)) and `heading` (rad, shape (n,))."""
+        """Put the middles of the robots' outlines at `position` and turn them to `heading` (rad), both of
+        shape (n,)."""
         count = len(position)
         turn = np.exp(1j * heading)[:, None]
         self.middle[-4 * count :].reshape(count, 4)[:] = self._body_middle * turn + position[:, None]

@@ -265,6 +265,12 @@ class Truth(Message, frozen=True, kw_only=True, gc=False):
     """Onsets of contact since the start."""
     contacts: tuple[str, ...] = ()
     """Who touches what now, as "r1|r2" or "r1|obstacle 3", with the index in `world.obstacles`, from 0."""
+    sideways: Annotated[
+        bytes,
+        msgspec.Meta(
+            description="float32 little-endian, shape (robots,): v (m/s) to the left; empty where none can"
+        ),
+    ] = b""
 
 
 class Decided(msgspec.Struct, frozen=True, array_like=True, gc=False):

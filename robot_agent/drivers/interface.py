@@ -8,7 +8,7 @@ are in the agent's guard, and the hardware's own.
 from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, Protocol, TypeAlias
 
-from maniple.control.limits import Limits
+from maniple.control.limits import Limits, Velocity
 from maniple.core.errors import ScenarioError
 from maniple.core.messages import Drive, DriverState, Motion, Scan
 from robot_agent.modes import Event
@@ -99,8 +99,8 @@ class Driver(Protocol):
         whether it is controllable, and if not, why."""
         ...
 
-    def write(self, drive: Drive) -> tuple[float, float]:
-        """Pass an order on. Returns the (u m/s, w rad/s) actually applied, after clipping."""
+    def write(self, drive: Drive) -> Velocity:
+        """Pass an order on. Returns what is actually applied, after clipping."""
         ...
 
     def stop(self) -> None:

@@ -1,46 +1,47 @@
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
+from maniple.control.limits import Velocity
 from maniple.core.geometry import Pose
-from maniple.core.scenario.types import RobotModel
+from maniple.core.streams import stream
 from maniple.core.time import SECOND
 from robot_agent.dead_reckoning import Reckoning, Wheels, step, wheels_of
+from simulator.dynamics import integrate
+from simulator.encoders import Encoders
+from tests.pioneer import PIONEER
 
-WHEELS = Wheels(metres_per_tick=1e-6, track=0.33, ticks_per_second=2e6)
+METRES_PER_TICK, TRACK = 1e-6, 0.33
+WHEELS = Wheels(
+    ahead=(0.5 * METRES_PER_TICK,) * 2,
+    turn=(-METRES_PER_TICK / TRACK, METRES_PER_TICK / TRACK),
+    left=(0.0, 0.0),
+    ticks_per_second=2e6,
+)
 TENTH = SECOND // 10
 
 
 def ticks_of(forward: float, turn: float) -> tuple[int, int]:
     """Counts after both wheels rolled at constant rates along an arc."""
-    half = 0.5 * turn * WHEELS.track
-    return round((forward - half) / WHEELS.metres_per_tick), round((forward + half) / WHEELS.metres_per_tick)
+    half = 0.5 * turn * TRACK
+    return round((forward - half) / METRES_PER_TICK), round((forward + half) / METRES_PER_TICK)
 
 
 def test_geometry_of_a_pioneer() -> None:
-    model = RobotModel(
-        length_m=0.5,
-        width_m=0.4,
-        wheel_radius_m=0.0975,
-        track_m=0.33,
-        ticks_per_revolution=78414,
-        u_max_mps=0.75,
-        w_max_radps=1.745,
-        u_accel_mps2=0.3,
-        w_accel_radps2=1.7,
-        brake_mps2=0.6,
-        theta=(1, 1, 0, 1, 0, 1),
-    )
-    wheels = wheels_of(model)
-    assert 1e-3 / wheels.metres_per_tick == pytest.approx(128, rel=1e-4)
-    assert wheels.ticks_per_second * wheels.metres_per_tick > 1.2  # what ARIA lets it do
+    wheels = wheels_of(PIONEER)
+    assert wheels.ahead == pytest.approx([0.5e-3 / 128] * 2, rel=1e-4)
+    assert wheels.turn[1] == -wheels.turn[0] == pytest.approx(1e-3 / 128 / 0.33, rel=1e-4)
+    assert wheels.left == (0.0, 0.0)
+    assert wheels.ticks_per_second * 1e-3 / 128 > 1.2  # what ARIA lets it do
 
 
 def test_first_counts_are_the_origin() -> None:
     state, jumped = step(WHEELS, Reckoning(), (10**9, -(10**9)), 5 * SECOND)
-    assert (state.pose, state.u, state.w, jumped) == (Pose(0, 0, 0), 0.0, 0.0, False)
+    assert (state.pose, state.velocity, jumped) == (Pose(0, 0, 0), Velocity(), False)
 
 
 @settings(deadline=None, derandomize=True)
@@ -54,7 +55,7 @@ def test_arcs_add_up_exactly(arcs: list[tuple[float, float]]) -> None:
         pose = pose.advance(forward, turn)
         state, jumped = step(WHEELS, state, (left, right), k * TENTH)
         assert not jumped
-        assert (state.u, state.w) == pytest.approx((10 * forward, 10 * turn), abs=1e-4)
+        assert (state.velocity.u, state.velocity.w) == pytest.approx((10 * forward, 10 * turn), abs=1e-4)
     assert (state.pose.x, state.pose.y) == pytest.approx((pose.x, pose.y), abs=1e-3)
     assert math.remainder(state.pose.psi - pose.psi, 2 * math.pi) == pytest.approx(0.0, abs=1e-3)
 
@@ -72,7 +73,7 @@ def test_counts_no_wheel_could_have_reached_are_a_new_origin() -> None:
     there = state.pose
     state, jumped = step(WHEELS, state, (-5_000_000, 0), 2 * TENTH)
     assert jumped
-    assert (state.pose, state.u, state.w) == (there, 0.0, 0.0)
+    assert (state.pose, state.velocity) == (there, Velocity())
     state, jumped = step(WHEELS, state, (-5_000_000 + 50_000, 50_000), 3 * TENTH)
     assert not jumped
     assert state.pose.x == pytest.approx(there.x + 0.05)
@@ -82,7 +83,7 @@ def test_a_long_silence_is_no_jump() -> None:
     state, _ = step(WHEELS, Reckoning(), (0, 0), 0)
     state, jumped = step(WHEELS, state, (5_000_000, 5_000_000), 10 * SECOND)
     assert not jumped
-    assert (state.pose.x, state.u) == pytest.approx((5.0, 0.5))
+    assert (state.pose.x, state.velocity.u) == pytest.approx((5.0, 0.5))
 
 
 def test_counts_without_time_keep_the_velocity() -> None:
@@ -90,5 +91,33 @@ def test_counts_without_time_keep_the_velocity() -> None:
     state, _ = step(WHEELS, state, (50_000, 50_000), TENTH)
     again, jumped = step(WHEELS, state, (50_001, 50_001), TENTH)
     assert not jumped
-    assert again.u == state.u
+    assert again.velocity == state.velocity
     assert again.pose.x == pytest.approx(0.050001)
+
+
+@pytest.mark.parametrize("kind", ["differential", "omnidirectional", "car"])
+def test_from_motion_through_encoders_back_to_motion(kind: str) -> None:
+    """Random velocities of the simulated robot, each for a while: what its encoders count leads back to its
+    pose, but for the rounding of the counts."""
+    extra: dict[str, dict[str, float]] = {
+        "differential": {},
+        "omnidirectional": {"v_max_mps": 0.7},
+        "car": {"wheelbase_m": 0.33, "steer_max_rad": 0.4},
+    }
+    model = replace(PIONEER, drive=kind, **extra[kind])
+    random, wheels = stream(3, kind), wheels_of(model)
+    encoders = Encoders([model], np.array([0.4]))
+    rows = 3 if kind == "omnidirectional" else 2
+    travel, position = np.zeros((rows, 1)), np.array([1.0 + 2.0j])
+    travel[1] = 0.4
+    state, _ = step(wheels, Reckoning(), encoders.ticks(travel)[0], 0)
+    for k in range(1, 201):
+        velocity = random.uniform(-0.7, 0.7, (rows, 1)) * ([[1.0], [1.745], [1.0]][:rows])
+        _, travels, positions = integrate(np.stack([velocity] * 2), travel, position, 0.05)
+        travel, position = travels[-1], positions[-1]
+        state, jumped = step(wheels, state, encoders.ticks(travel)[0], k * TENTH // 2)
+        assert not jumped
+        assert (*state.velocity,)[:rows] == pytest.approx(velocity[:, 0], abs=2e-3)
+    there = Pose(1.0, 2.0, 0.4).compose(state.pose)
+    assert (there.x, there.y) == pytest.approx((position[0].real, position[0].imag), abs=1e-4)
+    assert math.remainder(there.psi - travel[1, 0], 2 * math.pi) == pytest.approx(0.0, abs=2e-4)

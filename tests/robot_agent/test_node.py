@@ -1,6 +1,6 @@
 import math
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import pytest
 
@@ -107,6 +107,7 @@ def test_what_it_listens_to_and_when_it_acts(make_scenario: Make) -> None:
         "hw/r1/motion",
         "hw/r1/scan",
         "robot/r1/command",
+        "robot/r1/odometry",
         "host/refused",
         "host/counters",
     }
@@ -199,10 +200,11 @@ def test_behind_the_kinematics_values_are_speeds(
 def test_refuses_commands_for_others_and_counts_what_the_host_refused(
     make_scenario: Make, command_from: CommandFrom
 ) -> None:
-    agent = RobotAgent(make_scenario(), "r1", incarnation=2)
+    agent = RobotAgent(make_scenario(), "r1")
     agent.on_message(motion(T0), T0)
-    agent.on_message(command_from(T0, (0.1, 0.0), layer="drive", incarnation=2), T0)
-    agent.on_message(command_from(T0, (0.1, 0.0), incarnation=1), T0)
+    agent.on_message(motion(T0, (1, 2, 3)), T0)  # type: ignore[arg-type]
+    agent.on_message(command_from(T0, (0.1, 0.0), layer="drive"), T0)
+    agent.on_message(command_from(T0, (0.1, 0.0), incarnation=2), T0)
     refused = Refused(topic="robot/r1/command", sender="x", reason="sender")
     agent.on_message(Received(topics.HOST_REFUSED, refused), T0)
     agent.on_message(Received(topics.HOST_COUNTERS, Counters(counters={"received": 12})), T0)
@@ -212,9 +214,101 @@ def test_refuses_commands_for_others_and_counts_what_the_host_refused(
     assert status.counters == {
         "received": 12,
         "refused_layer": 1,
+        "refused_ticks": 1,
         "refused_incarnation": 1,
         "refused_sender": 1,
     }
+
+
+def last_word(**changes: Any) -> Received:
+    """What the first life of r1 said last."""
+    fields = {
+        "source": "r1",
+        "incarnation": 1,
+        "seq": 99,
+        "stamp_ns": T0 - SECOND,
+        "frame_id": "r1",
+        "x_m": 1.0,
+        "y_m": -2.0,
+        "psi_rad": 0.5,
+        "u_mps": 0.1,
+        "w_radps": 0.0,
+        "ticks": (1000, 2000),
+        "motion_incarnation": 1,
+    }
+    return Received(topics.odometry("r1"), Odometry(**{**fields, **changes}))
+
+
+def ticks_after(forward: float, turn: float) -> tuple[int, int]:
+    """Counts after an arc from where `last_word` was said."""
+    left, right = (round((forward + side * 0.165 * turn) * PER_METRE) for side in (-1, 1))
+    return 1000 + left, 2000 + right
+
+
+@pytest.mark.parametrize("heard_first", [True, False])
+def test_a_later_life_resumes_the_frame_and_knows_how_far_it_rolled_meanwhile(
+    make_scenario: Make, command_from: CommandFrom, heard_first: bool
+) -> None:
+    agent = RobotAgent(make_scenario(), "r1", incarnation=2)
+    assert not only(Status, agent.on_start(T0)).localised
+    counted = motion(T0 + TICK, ticks_after(0.06, 0.1))
+    first, second = (last_word(), counted) if heard_first else (counted, last_word())
+    early = agent.on_message(first, T0 + TICK)
+    if not heard_first:
+        assert only(Odometry, early).frame_id == "r1/2"
+        assert "odometry frame" in status_of(agent, T0 + TICK).reason
+    status = agent.on_message(second, T0 + TICK)[0].message
+    assert isinstance(status, Status)
+    assert status.localised
+    odometry = only(Odometry, agent.on_message(motion(T0 + 2 * TICK, ticks_after(0.06, 0.1)), T0 + 2 * TICK))
+    assert odometry.frame_id == "r1"
+    expected = Pose(1.0, -2.0, 0.5).advance(0.06, 0.1)
+    assert (odometry.x_m, odometry.y_m, odometry.psi_rad) == pytest.approx(expected, abs=1e-4)
+    assert (odometry.ticks, odometry.motion_incarnation) == (ticks_after(0.06, 0.1), 1)
+    agent.on_message(last_word(x_m=7.0), T0 + 2 * TICK)  # too late: it knows
+    again = only(Odometry, agent.on_message(motion(T0 + 3 * TICK, ticks_after(0.06, 0.1)), T0 + 3 * TICK))
+    assert again.x_m == odometry.x_m
+
+
+def test_a_later_life_that_moved_before_it_heard_puts_both_ways_together(make_scenario: Make) -> None:
+    agent = RobotAgent(make_scenario(), "r1", incarnation=2)
+    agent.on_message(motion(T0, ticks_after(0.06, 0.1)), T0)
+    agent.on_message(motion(T0 + TICK, ticks_after(0.08, 0.1)), T0 + TICK)
+    agent.on_message(last_word(), T0 + TICK)
+    odometry = only(Odometry, agent.on_message(motion(T0 + 2 * TICK, ticks_after(0.08, 0.1)), T0 + 2 * TICK))
+    expected = Pose(1.0, -2.0, 0.5).advance(0.06, 0.1).advance(0.02, 0.0)
+    assert (odometry.x_m, odometry.y_m, odometry.psi_rad) == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"motion_incarnation": 7}, {"ticks": ()}, {"ticks": (10**9, 10**9)}], ids=str
+)
+def test_where_the_counts_began_anew_it_stayed_where_it_was(
+    make_scenario: Make, changes: dict[str, Any]
+) -> None:
+    agent = RobotAgent(make_scenario(), "r1", incarnation=3)
+    agent.on_message(last_word(**changes), T0)
+    _, (_, odometry) = agent.on_message(motion(T0, (5, 6)), T0)
+    assert isinstance(odometry, Odometry)
+    assert (odometry.x_m, odometry.y_m, odometry.psi_rad) == (1.0, -2.0, 0.5)
+
+
+@pytest.mark.parametrize("changes", [{"incarnation": 2}, {"frame_id": "r1/1"}], ids=str)
+def test_it_resumes_no_frame_that_was_lost_and_takes_no_command_until_it_knows(
+    make_scenario: Make, command_from: CommandFrom, changes: dict[str, Any]
+) -> None:
+    agent = RobotAgent(make_scenario(), "r1", incarnation=2)
+    agent.on_message(motion(T0), T0)
+    agent.on_message(last_word(**changes), T0)
+    agent.on_message(command_from(T0, (0.1, 0.0), incarnation=2), T0)
+    drive_of(agent, T0)
+    status = status_of(agent, T0)
+    assert (status.localised, status.mode, status.command_age_s) == (False, "waiting", -1.0)
+    agent.on_message(last_word(), T0 + 2)
+    agent.on_message(command_from(T0 + 1, (0.1, 0.0), incarnation=2), T0 + 2)  # computed in another frame
+    agent.on_message(command_from(T0 + 2, (0.1, 0.0), incarnation=2, seq=1), T0 + 2)
+    assert status_of(agent, T0 + 2).counters["refused_unlocalised"] == 2
+    assert status_of(agent, T0 + 2).command_age_s == 0.0
 
 
 def test_holds_and_then_stands_as_the_command_ages(make_scenario: Make, command_from: CommandFrom) -> None:

@@ -74,7 +74,7 @@ def test_a_robot_drives_as_told(make_scenario: MakeScenario) -> None:
     drive(physics, 0.3, 0.4, 5000, 6000)
     after = before.advance(u, w)
     assert tuple(physics.poses()[0]) == pytest.approx(tuple(after), abs=1e-4)
-    assert physics.drives() == [((0.3, 0.4), "active")]
+    assert physics.drives() == [((0.3, 0.4, 0.0), "active")]
 
 
 def test_a_drive_that_is_not_active_does_nothing(make_scenario: MakeScenario) -> None:
@@ -82,7 +82,7 @@ def test_a_drive_that_is_not_active_does_nothing(make_scenario: MakeScenario) ->
     physics.command(0, order(0.5, 0.5, active=False), T0)
     physics.advance(T0 + 1000 * MS)
     assert physics.poses()[0].tolist() == [0.0, 0.0, 0.0]
-    assert physics.drives() == [((0.0, 0.0), "configured")]
+    assert physics.drives() == [((0.0, 0.0, 0.0), "configured")]
 
 
 def test_silence_brakes_at_a_constant_rate_until_it_stands(make_scenario: MakeScenario) -> None:
@@ -93,10 +93,10 @@ def test_silence_brakes_at_a_constant_rate_until_it_stands(make_scenario: MakeSc
     u, w = physics.velocities()[0]
     physics.advance(T0 + (heard + 690) * MS)
     assert physics.velocities()[0] == pytest.approx([u - 0.6 * 0.2, w - 1.745 * 0.2], abs=1e-3)
-    assert physics.drives()[0][0] == tuple(physics.velocities()[0])
+    assert physics.drives()[0][0] == (*physics.velocities()[0], 0.0)
     physics.advance(T0 + (heard + 500 + 1050) * MS)
     assert physics.velocities()[0].tolist() == [0.0, 0.0]
-    assert physics.drives() == [((0.0, 0.0), "active")]
+    assert physics.drives() == [((0.0, 0.0, 0.0), "active")]
     physics.command(0, order(-0.2, 0.0), T0 + 6000 * MS)
     physics.advance(T0 + 6100 * MS)
     assert physics.velocities()[0][0] < -0.02

@@ -5,7 +5,7 @@ from typing import get_args
 
 import pytest
 
-from maniple.control.limits import limits_of
+from maniple.control.limits import Velocity, limits_of
 from maniple.core import topics
 from maniple.core.errors import ManipleError, ScenarioError
 from maniple.core.messages import Drive, DriverState, Motion, Scan, Status
@@ -59,7 +59,7 @@ class Bench:
         self.capabilities = capabilities
         self.state: DriverState = "closed"
         self.controllable = True
-        self._applied = (0.0, 0.0)
+        self._applied = Velocity()
         self._ticks = 0
 
     def take(self, step: Step) -> None:
@@ -75,24 +75,24 @@ class Bench:
         return [
             Motion(
                 ticks=(self._ticks, self._ticks),
-                applied=self._applied,
+                applied=self._applied[:2],
                 state=self.state,
                 controllable=self.controllable,
                 reason=reason,
             )
         ]
 
-    def write(self, drive: Drive) -> tuple[float, float]:
+    def write(self, drive: Drive) -> Velocity:
         if self.state == "active" and not drive.active:
             self.take("deactivate")
         elif self.state == "configured" and drive.active:
             self.take("activate")
         if self.state == "active":
-            self._applied = (min(drive.u_mps, self.capabilities.u_max_mps), drive.w_radps)
+            self._applied = Velocity(min(drive.u_mps, self.capabilities.u_max_mps), drive.w_radps)
         return self._applied
 
     def stop(self) -> None:
-        self._applied = (0.0, 0.0)
+        self._applied = Velocity()
 
 
 def test_an_agent_follows_its_driver_through_its_life(
@@ -131,7 +131,7 @@ def test_an_agent_follows_its_driver_through_its_life(
     driver.take("configure")
     status = ticks(40)
     assert (status.mode, status.driver, status.reason) == ("tracking", "active", "")
-    assert driver.write(Drive(u_mps=0.2, w_radps=0.0, active=True)) == (0.2, 0.0)
+    assert driver.write(Drive(u_mps=0.2, w_radps=0.0, active=True)) == (0.2, 0.0, 0.0)
 
     bench.controllable = False
     status = ticks(2)
