@@ -12,7 +12,7 @@ from maniple.core.geometry import Floats
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's, for the eyes of all."""
-SHOWN_S = {"mirrored, at rest": 80.0, "mirrored, moving": 120.0, "under way": 600.0, "thrown apart": 600.0}
+SHOWN_S = {"mirrored, at rest": 80.0, "mirrored, moving": 120.0, "under way": 400.0, "thrown apart": 400.0}
 SINGULAR_S = 40.0
 
 

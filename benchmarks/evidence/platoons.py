@@ -17,6 +17,8 @@ from simulator.dynamics import VelocityDynamics, integrate
 SEED = 1
 KAPPA, SATURATION = 0.25, 0.10
 """The paper's gains."""
+SLOW = (0.10, 0.10, 0.02, 0.10, 0.10, 0.02)
+"""L with smaller entries for psi_F and beta, rad/s."""
 DT_S = 0.1
 """Control period."""
 
@@ -38,6 +40,8 @@ class Case(NamedTuple):
     neighbours: bool = False
     assigned: bool = False
     """Whether the robots are labelled so that the sum of the squared ways is least."""
+    slow_angles: bool = False
+    """Whether L is SLOW."""
     pioneers: bool = False
     """Unicycles with the velocity dynamics and limits of a Pioneer 3-DX, instead of ideal points."""
     scatter_m: float | None = None
@@ -47,7 +51,8 @@ class Case(NamedTuple):
     def variant(self) -> str:
         """All but n, in words."""
         words = ["signed" if self.signed else "printed"]
-        words += [word for word in ("neighbours", "assigned", "pioneers") if getattr(self, word)]
+        flags = ("neighbours", "assigned", "slow_angles", "pioneers")
+        words += [flag.replace("_", " ") for flag in flags if getattr(self, flag)]
         return ", ".join(words)
 
 
@@ -93,7 +98,7 @@ class Platoons:
         count, n, _ = positions.shape
         self.case, self.positions, self.places = case, positions, places(n)
         self.chain = Chain(self.places, case.signed)
-        self.gains = Gains.of(Controller(kappa=KAPPA, saturation=SATURATION))
+        self.gains = Gains.of(Controller(kappa=KAPPA, saturation=SLOW if case.slow_angles else SATURATION))
         self._dt_s = dt_s
         self._all = Chain(np.tile(self.places, (count, 1)), case.signed, neighbours=True)
         self._robots = _Pioneers(positions, facing, dt_s) if case.pioneers else None

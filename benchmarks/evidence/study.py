@@ -115,7 +115,7 @@ class Extent(NamedTuple):
     bound_s: float
 
 
-FULL = Extent((3, 4, 6, 10, 20, 50), 500, 600.0, 120.0)
+FULL = Extent((3, 4, 6, 10, 20, 50), 500, 400.0, 120.0)
 QUICK = Extent((3, 4, 6, 10), 40, 200.0, 120.0)
 
 
@@ -135,10 +135,12 @@ class Study(NamedTuple):
 
 def variants(n: int) -> list[Case]:
     """The cases of one size of platoon."""
-    cases = [Case(n, signed=False), Case(n), Case(n, assigned=True)]
+    cases = [Case(n, signed=False), Case(n), Case(n, assigned=True), Case(n, slow_angles=True)]
+    cases += [Case(n, assigned=True, slow_angles=True)]
     if n > 3:
-        cases += [Case(n, neighbours=True), Case(n, neighbours=True, assigned=True)]
-    return [*cases, Case(n, pioneers=True), Case(n, assigned=True, pioneers=True)]
+        cases += [Case(n, neighbours=True), Case(n, neighbours=True, slow_angles=True)]
+    pioneers = Case(n, pioneers=True)
+    return [*cases, pioneers, pioneers._replace(assigned=True), pioneers._replace(slow_angles=True)]
 
 
 def converge(case: Case, first: int, count: int, horizon_s: float) -> Outcome:
