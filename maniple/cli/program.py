@@ -2,7 +2,14 @@
 
 import typer
 
-from maniple.cli import log_commands, node_commands, plan_command, run_command, scenario_commands
+from maniple.cli import (
+    log_commands,
+    node_commands,
+    plan_command,
+    report_command,
+    run_command,
+    scenario_commands,
+)
 from maniple.core.version import __version__
 
 app = typer.Typer(
@@ -20,6 +27,7 @@ def _pass_on(context: typer.Context) -> None:
 
 app.command("run")(run_command.run)
 app.command("plan")(plan_command.show)
+app.command("report")(report_command.report)
 for _name, _about in node_commands.COMMANDS.items():
     app.command(
         _name,
