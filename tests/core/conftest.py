@@ -72,6 +72,7 @@ def examples() -> dict[str, Message]:
             clearances=pack_floats([0.5, 0.6]),
             collisions=0,
             contacts=("r1|r2",),
+            sideways=pack_floats([0.0, -0.1]),
         ),
         topics.DECISIONS: messages.Decisions(
             decided=(messages.Decided("r1", topics.odometry("r1"), 1, 2, True, 3),)
