@@ -1,8 +1,8 @@
 """Adaptive dynamic compensation on a fast trajectory, in a virtual run: the velocity error of the formation
 delta_v = q_ref' - q' with and without it, and the paper's ultimate bound on the formation error.
 
-Three robots round a figure eight at 0.4 m/s. What the law believes of the drives is wrong by a third. q and q'
-are ground truth; q_ref' is what eq. (7) asks for there and then.
+Three robots round a figure eight at 0.4 m/s. What the law believes of the drives is wrong by a third. q and
+q' are ground truth; q_ref' is what eq. (7) asks for there and then.
 """
 
 import tempfile
@@ -53,11 +53,11 @@ QUICK = (1.7, 1.1, 0.5, 1.5, 0.01, 1.5)
 """gamma with th4 and th6 adapted 5 and 3 times as fast as in the source."""
 
 
-PLACES: Mapping[str, Layer] = {"central": "drive", "on the robots": "kinematics"}
+PLACES: Mapping[str, Layer] = {"centre": "drive", "robots": "kinematics"}
 """Where all layers run: Ts is 0.1 s in the centre and 0.05 s on the robots."""
 
 HALF = Budget(0.5, "ratio")
-BUDGETS = {("central", "adapting"): HALF, ("central", "adapting faster"): HALF}
+BUDGETS = {("centre", "adapting"): HALF, ("centre", "faster"): HALF}
 KEPT = Budget(1.0, "ratio")
 
 
@@ -147,7 +147,7 @@ def measured(compensation: Compensation, robot_from: Layer = "drive", laps: floa
 
 
 def rows(quick: bool = False) -> list[Row]:
-    """Where the layers run and how fast is adapted, against no compensation; and the error against its bound."""
+    """With compensation against without; and the error of each against its bound."""
     laps = 3.0 if quick else LAPS
     wrong = Compensation(enabled=True, initial=WRONG)
     kappa = scenario(wrong).controller.kappa
@@ -157,8 +157,8 @@ def rows(quick: bool = False) -> list[Row]:
         without = measured(Compensation(), robot_from, laps)
         cases = {
             "adapting": wrong,
-            "adapting faster": replace(wrong, gamma=QUICK),
-            "the true parameters": Compensation(enabled=True, adapt=False),
+            "faster": replace(wrong, gamma=QUICK),
+            "true theta": Compensation(enabled=True, adapt=False),
         }
         found = {name: measured(law, robot_from, laps) for name, law in cases.items()}
         out += [
@@ -166,9 +166,7 @@ def rows(quick: bool = False) -> list[Row]:
             for name, one in found.items()
         ]
         out += [
-            Row(
-                f"{place}, largest error, {name}", one.largest_error, "q", "its bound", one.bound(kappa), KEPT
-            )
+            Row(f"{place}, {name}: error", one.largest_error, "q", "its bound", one.bound(kappa), KEPT)
             for name, one in {"none": without, **found}.items()
         ]
     return out

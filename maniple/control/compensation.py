@@ -39,8 +39,8 @@ class Derivative:
     """The derivative of a signal that is sampled, as a first-order lag sees it: d + tau d' = x'.
 
     Exact for a signal that is straight between its samples, whatever their distance. It lags `tau_s` behind
-    the true derivative, and amplifies an error of one sample by at most 1 / tau_s, where the plain
-    difference does by 1 / dt.
+    the true derivative (2 % more when that is two samples), and amplifies an error of one sample by at most
+    1 / tau_s, where the plain difference does by 1 / dt.
     """
 
     def __init__(self, tau_s: float) -> None:

@@ -71,7 +71,7 @@ P = ParamSpec("P")
 
 
 class Parts(NamedTuple):
-    """Implementations by the names that scenarios use: the built-in ones and those of the user."""
+    """Implementations by the names that scenarios use: built-in ones, and those of the user."""
 
     formation_laws: Mapping[str, FormationFactory] = {}
     avoidance: Mapping[str, AvoidanceFactory] = {}
@@ -87,7 +87,8 @@ def chosen(parts: Mapping[str, T], name: str, path: str) -> T:
         ScenarioError: there is none of this name; says which there are.
     """
     if name not in parts:
-        raise ScenarioError(f"{path} = {name!r}: not installed; there are {', '.join(sorted(parts))}")
+        known = ", ".join(sorted(filter(None, parts))) or "none"
+        raise ScenarioError(f"{path} = {name!r}: not installed; there are {known}")
     return parts[name]
 
 
