@@ -164,7 +164,7 @@ def test_a_layer_that_is_not_there_is_named_with_those_that_are() -> None:
     with pytest.raises(ScenarioError, match=r"compensation.law = 'none': not installed; there are adaptive"):
         pipeline(["compensation"], compensation=Compensation(enabled=True, law="none"))
     scene = replace(scenario(), models={"pioneer-3dx": replace(PIONEER, kinematics="crab")})
-    with pytest.raises(ScenarioError, match="kinematics = .crab.: not installed; there are none"):
+    with pytest.raises(ScenarioError, match=r"kinematics = .crab.: not installed; there are none"):
         Pipeline(["kinematics"], scene, ROBOT)
 
 
