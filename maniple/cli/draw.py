@@ -2,15 +2,27 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from central_controller.reference import duration_s, reference
+from central_controller.reference import Course
 from maniple.core.errors import ManipleError, MissingExtraError
 from maniple.core.geometry import Pose
 from maniple.core.scenario import outline
-from maniple.core.scenario.places import end_pose
-from maniple.core.scenario.types import Circle, Obstacle, Point, Robot, Scenario, Wall
+from maniple.core.scenario.places import end_pose, fastest_mps, legs_of, start_pose
+from maniple.core.scenario.types import (
+    Circle,
+    Leg,
+    Obstacle,
+    Point,
+    Positioning,
+    Robot,
+    Scenario,
+    Wall,
+)
+from maniple.core.scenario.types import Sequence as Legs
+from maniple.core.scenario.ways import way_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +39,7 @@ MARGIN_M = 0.35
 WIDTH_IN = 9.0
 TALLEST_IN = 9.0
 SHORTEST_IN = 1.6
-FURNITURE_IN = 1.25
+FURNITURE_IN = 1.45
 """Height of title, axis labels and legend."""
 
 ROOM_IN = 0.95
@@ -35,6 +47,9 @@ ROOM_IN = 0.95
 
 LETTER_IN = 0.085
 """Width of a letter of a robot's name."""
+
+APART_M = 0.05
+"""A robot that starts nearer to its place than this has no line to it."""
 
 SAMPLES = 200
 """Points on a path."""
@@ -93,9 +108,13 @@ def draw(scenario: Scenario) -> "Figure":
 
 def _title(scenario: Scenario) -> str:
     triangles = len(scenario.robots) - 2
+    course, fastest = Course(scenario.task, scenario.controller), fastest_mps(scenario.task)
+    estimated = any(isinstance(leg, Positioning) for leg in legs_of(scenario.task))
     return (
         f"{scenario.name}: {len(scenario.robots)} robots, {triangles} triangle{'s' * (triangles > 1)}, "
-        f"{scenario.task.speed_mps:g} m/s, {duration_s(scenario.task):.0f} s"
+        + (f"{fastest:.2g} m/s, " if fastest else "positioning, ")
+        + ("about " if estimated else "")
+        + f"{course.total_s:.0f} s"
     )
 
 
@@ -118,14 +137,66 @@ def _draw_world(axes: "Axes", obstacles: Sequence[Obstacle]) -> None:
 
 
 def _draw_paths(axes: "Axes", scenario: Scenario) -> None:
-    """The way of the formation's origin and of each robot's place."""
-    total = duration_s(scenario.task)
-    frames = [reference(scenario.task, total * k / SAMPLES).pose for k in range(SAMPLES + 1)]
-    axes.plot([p.x for p in frames], [p.y for p in frames], color=INK, lw=0.9, ls=(0, (5, 3)), zorder=2.5)
-    for index, point in enumerate(scenario.formation.points):
-        places = [frame.compose(Pose(*point, 0.0)) for frame in frames]
-        stripe = 3.0 - 0.45 * (index % len(COLOURS))  # ways that coincide show as stripes
-        axes.plot([p.x for p in places], [p.y for p in places], color=_colour(index), lw=stripe, zorder=2)
+    """The way of the formation's origin and of each robot's place, with where the parts of a task begin."""
+    for frames in _ways(scenario):
+        axes.plot([p.x for p in frames], [p.y for p in frames], color=INK, lw=0.9, ls=(0, (5, 3)), zorder=2.5)
+        _draw_direction(axes, frames)
+        for index, point in enumerate(scenario.formation.points):
+            places = [frame.compose(Pose(*point, 0.0)) for frame in frames]
+            stripe = 3.0 - 0.45 * (index % len(COLOURS))  # ways that coincide show as stripes
+            axes.plot([p.x for p in places], [p.y for p in places], color=_colour(index), lw=stripe, zorder=2)
+    _draw_travel(axes, scenario)
+    if isinstance(scenario.task, Legs):
+        _draw_stations(axes, scenario.task)
+
+
+def _ways(scenario: Scenario) -> Iterator[list[Pose]]:
+    """Where the formation's frame is along each part of the task that moves it."""
+    for way in map(way_of, legs_of(scenario.task)):
+        if way.travel_s > 0.0:
+            yield [way.at(way.travel_s * k / SAMPLES)[0] for k in range(SAMPLES + 1)]
+
+
+def _draw_direction(axes: "Axes", frames: Sequence[Pose]) -> None:
+    """An arrowhead a quarter along a way."""
+    here = len(frames) // 4
+    tail, head = frames[here], frames[here + 1]
+    look = {"arrowstyle": "-|>", "color": INK, "lw": 0.9, "mutation_scale": 11, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", (head.x, head.y), (tail.x, tail.y), arrowprops=look, zorder=2.6)
+
+
+def _draw_travel(axes: "Axes", scenario: Scenario) -> None:
+    """Thin lines to where a part of the task begins, if that is elsewhere: of each robot, and then of the
+    formation's origin."""
+    legs = legs_of(scenario.task)
+    dots: dict[str, Any] = {"ls": (0, (1, 2)), "zorder": 2.2}
+    for before, after in pairwise(legs):
+        a, b = end_pose(before), _station(after)
+        if math.dist(a[:2], b[:2]) > APART_M:
+            axes.plot((a.x, b.x), (a.y, b.y), color=INK, lw=0.9, **dots)
+    if scenario.planning.method != "given" or scenario.planning.relabel:
+        return  # who goes where is decided when the run begins
+    for index, (robot, point) in enumerate(zip(scenario.robots, scenario.formation.points, strict=True)):
+        at = Pose(*_pose(robot)).compose(Pose(robot.control_point_m, 0.0, 0.0))
+        place = _station(legs[0]).compose(Pose(*point, 0.0))
+        if math.dist(at[:2], place[:2]) > APART_M:
+            axes.plot((at.x, place.x), (at.y, place.y), color=_colour(index), lw=0.8, **dots)
+            axes.plot(place.x, place.y, "x", ms=4, color=_colour(index), mew=1.0, zorder=5.5)
+
+
+def _draw_stations(axes: "Axes", task: Legs) -> None:
+    """The number of each part of a sequence, where it begins."""
+    marks: dict[Point, list[str]] = {}
+    for index, leg in enumerate(task.tasks):
+        x, y, _ = _station(leg)
+        marks.setdefault((round(x, 2), round(y, 2)), []).append(str(index))
+    for at, names in marks.items():
+        _label(axes, at, ", ".join(names), INK, zorder=9, size=8, box=True)
+
+
+def _station(leg: Leg) -> Pose:
+    """Where the formation's frame is when a part of the task has begun."""
+    return end_pose(leg) if isinstance(leg, Positioning) else start_pose(leg)
 
 
 def _draw_formation(axes: "Axes", scenario: Scenario, poses: Sequence[Pose], *, faint: bool) -> None:
@@ -160,9 +231,17 @@ def _draw_formation(axes: "Axes", scenario: Scenario, poses: Sequence[Pose], *, 
 
 
 def _label(
-    axes: "Axes", at: Point, text: str, colour: str, *, zorder: float, size: float, away: float | None = None
+    axes: "Axes",
+    at: Point,
+    text: str,
+    colour: str,
+    *,
+    zorder: float,
+    size: float,
+    away: float | None = None,
+    box: bool = False,
 ) -> None:
-    """A name at a point, or beside it in the direction `away` (rad), readable on anything."""
+    """A name at a point, or beside it in the direction `away` (rad), readable on anything, or in a box."""
     from matplotlib import patheffects
 
     east, north = (0.0, 0.0) if away is None else (math.cos(away), math.sin(away))
@@ -178,6 +257,7 @@ def _label(
         color=colour,
         zorder=zorder,
         path_effects=[patheffects.withStroke(linewidth=2.0, foreground="white")],
+        bbox={"boxstyle": "round", "fc": "white", "ec": colour, "lw": 0.6} if box else None,
     )
 
 
@@ -191,10 +271,11 @@ def _draw_legend(figure: "Figure", scenario: Scenario) -> None:
         row("robot, heading", ls="", marker="s", ms=8, mfc=COLOURS[0], mec=INK, mew=0.5),
         row("control point", ls="", marker="o", ms=3.5, mfc="white", mec=INK, mew=0.6),
         row("triangle", color=INK, lw=0.8, alpha=0.6),
-        row("path of a place", color=COLOURS[0], lw=0.9),
-        row("path of the reference", color=INK, lw=0.9, ls=(0, (5, 3))),
         row("formation at the end", ls="", marker="s", ms=8, mfc=COLOURS[0], mec=INK, mew=0.5, alpha=0.35),
     ]
+    if any(way_of(leg).travel_s > 0.0 for leg in legs_of(scenario.task)):
+        rows.append(row("path of a place", color=COLOURS[0], lw=0.9))
+        rows.append(row("path of the reference", color=INK, lw=0.9, ls=(0, (5, 3))))
     if scenario.avoidance.enabled:
         shell = f"shell, {scenario.avoidance.d_max_m:g} m"
         rows.append(row(shell, ls="", marker="o", ms=9, mfc="none", mec=COLOURS[0], mew=0.7, alpha=0.6))
@@ -211,12 +292,17 @@ def _links(robots: int) -> Iterator[tuple[int, int]]:
 
 
 def _final(scenario: Scenario) -> list[Pose]:
-    """Where the robots stand when all is as desired at the end of the task."""
-    frame = end_pose(scenario.task)
-    return [
-        frame.compose(Pose(x - robot.control_point_m, y, 0.0))
-        for robot, (x, y) in zip(scenario.robots, scenario.formation.points, strict=True)
-    ]
+    """Where the robots stand when all is as desired at the end of the task, each facing as it came."""
+    way = way_of(legs_of(scenario.task)[-1])
+    frame, (vx, vy, turning) = way.at(way.travel_s)
+    poses = []
+    for robot, point in zip(scenario.robots, scenario.formation.points, strict=True):
+        x, y, psi = frame.compose(Pose(*point, 0.0))
+        east, north = vx - turning * (y - frame.y), vy + turning * (x - frame.x)
+        if scenario.model_of(robot).drive != "omnidirectional" and math.hypot(east, north) > 1e-6:
+            psi = math.atan2(north, east)
+        poses.append(Pose(x, y, psi).compose(Pose(-robot.control_point_m, 0.0, 0.0)))
+    return poses
 
 
 def _extent(scenario: Scenario) -> tuple[float, float, float, float]:
@@ -225,7 +311,10 @@ def _extent(scenario: Scenario) -> tuple[float, float, float, float]:
     reach = scenario.avoidance.d_max_m if scenario.avoidance.enabled else 0.5
     seen = [(p.x + sx * reach, p.y + sy * reach) for p in poses for sx in (-1, 1) for sy in (-1, 1)]
     seen += [(p.x + sx * 0.5, p.y + sy * 0.5) for p in _final(scenario) for sx in (-1, 1) for sy in (-1, 1)]
-    seen += [scenario.task.start, scenario.task.end]
+    for frames in _ways(scenario):
+        for corner in [(0.0, 0.0), *scenario.formation.points]:
+            seen += [frame.compose(Pose(*corner, 0.0))[:2] for frame in frames[::4]]
+    seen += [_station(leg)[:2] for leg in legs_of(scenario.task)]
     for obstacle in scenario.world.obstacles:
         seen += outline.box_around(obstacle)
     xs, ys = zip(*seen, strict=True)

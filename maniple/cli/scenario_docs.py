@@ -30,7 +30,12 @@ UNITS = {
 def markdown() -> str:
     """The text of `docs/scenario.md`."""
     intro = (files("maniple.cli") / "scenario_intro.md").read_text(encoding="utf-8")
-    sections = ["\n".join(_section(path, kind)) for path, kind in _tables("", fields.type_of(Scenario))]
+    first: dict[type, str] = {}
+    sections = [
+        "\n".join(_section(path, kind))
+        for path, kind in _tables("", fields.type_of(Scenario))
+        if first.setdefault(kind.cls, path) == path  # what can be at two places is described once
+    ]
     return intro.rstrip() + "\n\n" + "\n\n".join(sections) + "\n"
 
 

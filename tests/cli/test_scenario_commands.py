@@ -14,7 +14,10 @@ from maniple.cli.draw import draw, save
 from maniple.cli.loading import load, loads
 from maniple.cli.scenario_commands import app
 from maniple.core.errors import ManipleError, MissingExtraError, ScenarioError
-from maniple.core.scenario.types import Scenario
+from maniple.core.geometry import Pose
+from maniple.core.scenario.places import legs_of
+from maniple.core.scenario.types import Line, Scenario
+from maniple.core.scenario.ways import way_of
 
 ROOT = Path(__file__).parents[2]
 PAPER = ROOT / "scenarios" / "paper-simulation-1.toml"
@@ -43,8 +46,12 @@ def test_check_says_what_would_run() -> None:
         ("r3", "r4", "r5"),
         ("r4", "r5", "r6"),
     ]
-    way = np.hypot(*np.subtract(scenario.task.end, scenario.task.start))
-    assert plan["duration_s"] == pytest.approx(way / scenario.task.speed_mps + scenario.task.settle_s)
+    task = scenario.task
+    assert isinstance(task, Line)
+    way = np.hypot(*np.subtract(task.end, task.start))
+    assert plan["length_m"] == pytest.approx(way)
+    assert plan["duration_s"] == pytest.approx(way / task.speed_mps + task.settle_s)
+    assert [leg["kind"] for leg in plan["legs"]] == [plan["task"]] == ["line"]
     for robot in plan["robots"]:
         assert 0 < robot["hold_after_s"] <= robot["stop_after_s"]
     assert plan["links"] == []
@@ -67,6 +74,9 @@ def test_check_says_what_the_network_does_to_each_link() -> None:
     assert ("r1", "robot/r1/ranges") in links, "the avoidance runs in the centre"
     onboard = checked("--set", "faults=[{}]", "--set", "placement.robot_from=kinematics")
     assert not any(one["topic"].endswith("ranges") for one in onboard["links"])
+    hosted = checked("--set", "faults=[{}]", "--set", "controller.host=r1")
+    assert {one["source"] for one in hosted["links"]} == {"controller", "r2", "r3", "r4", "r5", "r6"}
+    assert not any("r1" in one["topic"] for one in hosted["links"]), "one computer has no network in itself"
 
 
 def test_check_for_people() -> None:
@@ -76,6 +86,74 @@ def test_check_for_people() -> None:
     assert re.search(r"r2 r3 r4 +\d\.\d+ +\d\.\d+", result.stdout)
     assert re.search(r"odometry from +r1 r2 r3 r4 r5 r6 +100 +50 +30\.0", result.stdout)
     assert "…" not in result.stdout
+
+
+KINDS = {
+    "circle": "2 x round a circle of radius 5 m, not turning, 62.83 m in 314.2 s, at up to 0.2 m/s\n",
+    "figure-eight": "1 x through a figure eight of loops of 5 m, 30.49 m in 152.4 s, at up to 0.2 m/s, places",
+    "waypoints": "way through 3 points, 9.142 m in 91.42 s, at up to 0.1 m/s, places at",
+    "samples": "way through 3 samples, 4 m in 40 s, at up to 0.1 m/s\n",
+    "positioning": "positioning at 9, 0, 0, in about 9",
+    "sequence": "2 in sequence, 4 m in about 6",
+}
+SAMPLES = "{kind='samples', times_s=[0,20,40], poses=[[0,0,0],[2,0,0],[4,0,0]]}"
+TASKS = {
+    "circle": "{kind='circle', centre=[0,5], radius_m=5, speed_mps=0.2, turns=2, facing='fixed'}",
+    "figure-eight": "{kind='figure-eight', centre=[0,0], size_m=5, speed_mps=0.2}",
+    "waypoints": "{kind='waypoints', points=[[0,0],[5,0],[5,5]], speed_mps=0.1, radius_m=2}",
+    "samples": SAMPLES,
+    "positioning": "{kind='positioning', target=[9,0,0]}",
+    "sequence": f"{{kind='sequence', tasks=[{{kind='positioning', target=[2,0,0]}}, {SAMPLES}]}}",
+}
+
+
+@pytest.mark.parametrize("kind", TASKS)
+def test_every_kind_of_task_is_checked_and_drawn(kind: str) -> None:
+    override = f"task={TASKS[kind]}"
+    result = run("check", PAPER, "--set", override, "--set", "world.obstacles=[]")
+    assert result.exit_code == 0, result.exception
+    assert f"task: {KINDS[kind]}" in result.stdout
+    plan = checked("--set", override, "--set", "world.obstacles=[]")
+    assert plan["task"] == kind
+    assert plan["duration_s"] == pytest.approx(sum(leg["duration_s"] for leg in plan["legs"]))
+    scenario = load(PAPER, [override, "world.obstacles=[]"])
+    (axes,) = draw(scenario).axes
+    left, right = axes.get_xlim()
+    low, high = axes.get_ylim()
+    for leg in legs_of(scenario.task):
+        way = way_of(leg)
+        for t in np.linspace(0.0, way.travel_s, 50):
+            for place in scenario.formation.points:
+                x, y, _ = way.at(float(t))[0].compose(Pose(*place, 0.0))
+                assert left < x < right
+                assert low < y < high
+
+
+def test_check_lists_the_parts_of_a_sequence() -> None:
+    result = run("check", PAPER, "--set", f"task={TASKS['sequence']}")
+    assert re.search(
+        r"0 +positioning at 2, 0, 0 +0\.00, 0\.00, 0\.00 +2\.00, 0\.00, 0\.00 +about \d", result.stdout
+    )
+    assert re.search(r"1 +way through 3 samples .* 4\.00 +0\.100 +40\.0", result.stdout)
+
+
+def test_check_says_what_is_not_as_by_default() -> None:
+    changes = (
+        "planning={method='optimal', build='straight', relabel=true}",
+        "waiting.enabled=true",
+        "controller.host=r2",
+        "crashes=[{node='r4', at_s=30, restart_after_s=20}, {node='r5', at_s=40}]",
+    )
+    assert checked()["notes"] == []
+    assert checked(*(word for change in changes for word in ("--set", change)))["notes"] == [
+        "who takes which place: optimal",
+        "places are numbered anew",
+        "the formation is built first: straight, at up to 0.1 m/s",
+        "the reference slows from 0.1 m of error on, and stands at 0.5 m",
+        "the controller runs on r2, in its odometry frame",
+        "r4 dies at 30 s, and is back 20 s later",
+        "r5 dies at 40 s",
+    ]
 
 
 def test_check_refuses_what_is_not_valid() -> None:
@@ -135,7 +213,10 @@ def odd() -> Scenario:
     return loads("\n".join(lines).encode())
 
 
-@pytest.mark.parametrize("scenario", [odd(), load(PAPER)], ids=lambda scenario: scenario.name)
+SCENARIOS = sorted((ROOT / "scenarios").glob("*.toml"))
+
+
+@pytest.mark.parametrize("scenario", [odd(), *map(load, SCENARIOS)], ids=lambda scenario: scenario.name)
 def test_everything_is_inside_the_frame_at_true_scale(scenario: Scenario) -> None:
     figure = draw(scenario)
     figure.draw_without_rendering()

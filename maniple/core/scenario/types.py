@@ -157,7 +157,7 @@ class Sequence(Parameters, frozen=True, kw_only=True, tag_field="kind", tag="seq
     """Task: several, one after the other. Each starts where its own parameters say."""
 
     tasks: Annotated[tuple[Leg, ...], Meta(min_length=1)]
-    """In order."""
+    """In order; each as `[task]` would be, of any other kind."""
 
 
 Task: TypeAlias = Line | Waypoints | Orbit | FigureEight | Csv | Samples | Positioning | Sequence
