@@ -6,18 +6,16 @@ from typing import Literal, TypeAlias
 import numpy as np
 from msgspec.structs import replace
 
-from central_controller import formation
-from central_controller.formation import Gains
 from central_controller.lineup import Lineup
 from central_controller.mission import Mission, from_here
-from central_controller.planning import METHODS
 from central_controller.reference import Reference, within
 from central_controller.roster import Member, Roster, View
 from central_controller.supervisor import Supervisor
 from central_controller.waiting import rate
+from central_controller.watched import WatchedLaw, WatchedPlanner
 from maniple.control.builtin import BUILTIN
 from maniple.control.limits import Velocity
-from maniple.control.parts import Parts, chosen
+from maniple.control.parts import Parts
 from maniple.control.pipeline import Pipeline, central_layers
 from maniple.core import topics
 from maniple.core.geometry import Floats, Pose
@@ -65,15 +63,15 @@ class CentralController:
 
     def __init__(self, scenario: Scenario, parts: Parts = BUILTIN) -> None:
         layers = central_layers(scenario.placement.robot_from)
-        planners = {**METHODS, **parts.planners}
         self._scenario = scenario
         self._parts = parts
         self._layers = layers
         self._layer = scenario.placement.robot_from
         self._with_ranges = "avoidance" in layers and scenario.avoidance.enabled
-        self._gains = Gains.of(scenario.controller)
+        self._law = WatchedLaw(scenario.controller, parts)
+        self._planner = WatchedPlanner(scenario.planning, parts)
         self._roster = Roster(scenario.robots, scenario.controller.host)
-        self._lineup = Lineup(scenario, chosen(planners, scenario.planning.method, "planning.method"))
+        self._lineup = Lineup(scenario, self._planner)
         self._supervisor = self._supervise()
         self._mission = Mission(scenario.task, scenario.controller)
         self._lost_after = from_seconds(scenario.controller.lost_after_s)
@@ -137,7 +135,7 @@ class CentralController:
             self._reorganise()
         self._waits_for = self._roster.waited_for(now)
         views = self._views(now)
-        if self._stage == "waiting" or not self._enough or self._broken:
+        if self._stage == "waiting" or not self._enough or self._faults:
             self._errors, self._notes = None, ()
             return [*self._stand(views), self._state(self._reference(), now)]
         return self._guide(views, elapsed, now)
@@ -160,14 +158,15 @@ class CentralController:
         """Why the platoon holds; empty while it does not."""
         if (left := len(self._roster.active)) < LEAST:
             return f"{left} robots are left; a formation needs {LEAST}"
-        if faults := [f"{name}: {self._pipelines[name].fault}" for name in self._broken]:
+        if faults := self._faults:
             return "; ".join(faults)
         return "told to hold" if self._told_to_hold else ""
 
     @property
-    def _broken(self) -> list[str]:
-        """The robots with a layer that has failed."""
-        return [name for name, pipeline in self._pipelines.items() if pipeline.fault]
+    def _faults(self) -> list[str]:
+        """What has failed of the formation law, the planner, and the layers of each robot."""
+        own = [part.fault for part in (self._law, self._planner) if part.fault]
+        return own + [f"{name}: {line.fault}" for name, line in self._pipelines.items() if line.fault]
 
     def _begin(self, now: Time) -> None:
         """Everybody is there: say who goes where."""
@@ -198,7 +197,7 @@ class CentralController:
         self._advance(elapsed, positions)
         target = self._reference()
         desired = self._lineup.desired(target, positions)
-        correction = formation.step(self._lineup.chain, self._gains, positions, desired)
+        correction = self._law.step(self._lineup.chain, positions, desired, to_seconds(elapsed))
         self._errors = correction.errors
         places = self._lineup.places_at(target.pose)
         velocities, self._notes = self._supervisor.step(positions, places, correction.velocities)
@@ -207,8 +206,9 @@ class CentralController:
         for name, (vx, vy) in zip(robots, velocities.tolist(), strict=True):
             member, view = self._members[name], views[name]
             wanted = (*member.mounting.velocity_in_own(vx, vy), target.velocity[2])
+            follows = member.mode == "tracking"
             told = self._pipelines[name].step(
-                wanted, view.heading, member.returns, view.velocity, to_seconds(elapsed)
+                wanted, view.heading, member.returns, view.velocity, to_seconds(elapsed), follows
             )
             age = max(oldest, member.returns_age(now)) if self._with_ranges else oldest
             out.append(self._command(name, view, told, age))
