@@ -8,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 
+from maniple.cli.extensions import require_layers
 from maniple.cli.loading import completed, load
 from maniple.cli.machine import describe_machine
 from maniple.cli.progress import Progress
@@ -92,6 +93,7 @@ def run(
     _require_valid(virtual, speed, duration_s)
     given = None if log is None else _given_path(Path(log))
     resolved = _resolved(scenario, overrides, seed)
+    require_layers(resolved)
     path = given or _new_path(f"{resolved.name}-{'virtual-' if virtual else ''}")
     mode = "virtual" if virtual else "realtime"
     begin = time.perf_counter()

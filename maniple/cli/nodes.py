@@ -5,6 +5,7 @@ from functools import partial
 
 from central_controller.node import CentralController
 from central_controller.reference import duration_s
+from maniple.cli.extensions import parts_of
 from maniple.core.node import Node
 from maniple.core.scenario.types import Scenario
 from robot_agent.node import RobotAgent
@@ -15,15 +16,20 @@ RUNDOWN_S = 1.5
 
 
 def factories(scenario: Scenario) -> Mapping[str, Callable[[int], Node]]:
-    """What makes each node of a scenario, given its incarnation, by name."""
+    """What makes each node of a scenario, given its incarnation, by name; each looks for its layers itself,
+    and raises `ScenarioError` if one is not installed."""
     robots: dict[str, Callable[[int], Node]] = {
-        robot.id: partial(RobotAgent, scenario, robot.id) for robot in scenario.robots
+        robot.id: partial(_agent, scenario, robot.id) for robot in scenario.robots
     }
     return {
         "simulator": lambda _: Simulator(scenario),
-        "controller": lambda _: CentralController(scenario),
+        "controller": lambda _: CentralController(scenario, parts_of(scenario)),
         **robots,
     }
+
+
+def _agent(scenario: Scenario, robot: str, incarnation: int) -> RobotAgent:
+    return RobotAgent(scenario, robot, incarnation, parts_of(scenario, on_robot=True))
 
 
 def time_limit_s(scenario: Scenario, duration_s_asked: float | None) -> float:

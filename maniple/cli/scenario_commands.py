@@ -34,9 +34,12 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 @app.command()
 def check(file: File, overrides: Set = None, seed: Seed = None, as_json: Json = False) -> None:
     """Say whether a scenario is valid, and what would run."""
+    from maniple.cli.extensions import require_layers
     from maniple.cli.scenario_report import picture, plan_of
 
-    plan = plan_of(_load(file, overrides, seed))
+    scenario = _load(file, overrides, seed)
+    require_layers(scenario)
+    plan = plan_of(scenario)
     if as_json:
         typer.echo(msgspec.json.encode(plan).decode())
     else:

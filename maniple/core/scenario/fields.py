@@ -195,6 +195,15 @@ def _fits(kind: inspect.Type, value: Any) -> bool:
             return isinstance(kind, inspect.NoneType) and value is None
 
 
+def _is_plain(value: Any) -> bool:
+    """Whether a value is the same again after it was written as JSON."""
+    if isinstance(value, Mapping):
+        return all(isinstance(key, str) for key in value) and all(map(_is_plain, value.values()))
+    if _is_list(value):
+        return all(map(_is_plain, value))
+    return isinstance(value, str | bool) or (_is_number(value) and _is_finite(value))
+
+
 def _limits(kind: inspect.FloatType | inspect.IntType) -> list[str]:
     pairs = ((">", kind.gt), (">=", kind.ge), ("<", kind.lt), ("<=", kind.le))
     texts = [f"{sign} {limit}" for sign, limit in pairs if limit is not None]

@@ -1,0 +1,131 @@
+"""Implementations of layers that other packages bring, found by their entry points."""
+
+from collections.abc import Iterable, Mapping
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+
+from central_controller.planning import METHODS
+from central_controller.watched import LAWS, WatchedLaw, WatchedPlanner
+from maniple.control.builtin import BUILTIN
+from maniple.control.parts import Parts
+from maniple.control.pipeline import Pipeline
+from maniple.core.errors import ScenarioError
+from maniple.core.layers import PIPELINE
+from maniple.core.scenario.types import Scenario
+
+Kind: TypeAlias = Literal["formation-law", "planner", "kinematics", "avoidance", "compensation"]
+"""The layers that can be replaced."""
+
+
+class Place(NamedTuple):
+    """Where the implementations of one kind come from."""
+
+    group: str
+    """Of entry points."""
+    builtin: Mapping[str, Any]
+    """By the names that scenarios use."""
+
+
+PLACES: Mapping[Kind, Place] = {
+    "formation-law": Place("maniple.formation_laws", LAWS),
+    "planner": Place("maniple.planners", METHODS),
+    "kinematics": Place("maniple.kinematics", BUILTIN.kinematics),
+    "avoidance": Place("maniple.avoidance", BUILTIN.avoidance),
+    "compensation": Place("maniple.compensation", BUILTIN.compensation),
+}
+
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+
+class Installed(NamedTuple):
+    """One implementation that scenarios can name."""
+
+    kind: Kind
+    name: str
+    package: str
+    """What brings it, with its version."""
+    value: str
+    """Where it is: "module:attribute"; empty for a built-in one."""
+
+
+def installed() -> list[Installed]:
+    """All that there is, built-in first; nothing is imported."""
+    found = []
+    for kind in KINDS:
+        found += [Installed(kind, name, "maniple", "") for name in PLACES[kind].builtin if name]
+        for point in sorted(_points(kind), key=lambda point: point.name):
+            package = f"{point.dist.name} {point.dist.version}" if point.dist else "?"
+            found.append(Installed(kind, point.name, package, point.value))
+    return found
+
+
+def parts_of(scenario: Scenario, on_robot: bool = False) -> Parts:
+    """The built-in implementations, and those of others that a resolved scenario names; `on_robot`: without
+    those that only the controller needs.
+
+    Raises:
+        ScenarioError: one is not installed, is there twice, or can't be imported.
+    """
+    law = [] if on_robot else [("controller.law", scenario.controller.law)]
+    planner = [] if on_robot else [("planning.method", scenario.planning.method)]
+    return Parts(
+        formation_laws=_named("formation-law", law),
+        planners=_named("planner", planner),
+        kinematics=_named(
+            "kinematics",
+            [(f"models.{name}.kinematics", model.kinematics) for name, model in scenario.models.items()],
+        ),
+        avoidance=_named("avoidance", [("avoidance.law", scenario.avoidance.law)]),
+        compensation=_named("compensation", [("compensation.law", scenario.compensation.law)]),
+    )
+
+
+def require_layers(scenario: Scenario) -> None:
+    """Refuse a resolved scenario with layers that are not installed on this machine, or that can't use their
+    parameters.
+
+    Raises:
+        ScenarioError: says which, and which there are.
+    """
+    parts = parts_of(scenario)
+    WatchedLaw(scenario.controller, parts)
+    WatchedPlanner(scenario.planning, parts)
+    for robot in scenario.robots:
+        Pipeline(PIPELINE, scenario, robot, parts)
+
+
+def implementation(kind: Kind, name: str, path: str) -> Any:
+    """The implementation of a name; messages call where it is named `path`.
+
+    Raises:
+        ScenarioError: as for `parts_of`.
+    """
+    builtin = PLACES[kind].builtin
+    points = [point for point in _points(kind) if point.name == name]
+    if name in builtin and not points:
+        return builtin[name]
+    if not points:
+        known = sorted({name for name in builtin if name} | {point.name for point in _points(kind)})
+        names = ", ".join(known) or "none"
+        raise ScenarioError(f"{path} = {name!r}: no such {kind} is installed; there are {names}")
+    if len(points) > 1 or name in builtin:
+        owners = ["maniple"] * (name in builtin) + [
+            point.dist.name if point.dist else "?" for point in points
+        ]
+        raise ScenarioError(f"{path} = {name!r}: installed more than once, by {', '.join(sorted(owners))}")
+    try:
+        return points[0].load()
+    except Exception as error:
+        raise ScenarioError(
+            f"{path} = {name!r}: {points[0].value} can't be imported: {type(error).__name__}: {error}"
+        ) from error
+
+
+def _named(kind: Kind, used: Iterable[tuple[str, str]]) -> Mapping[str, Any]:
+    """The built-in ones and those that are used, which are looked for only then."""
+    found = dict(PLACES[kind].builtin)
+    return found | {name: implementation(kind, name, path) for path, name in used if name not in found}
+
+
+def _points(kind: Kind) -> Iterable[EntryPoint]:
+    return entry_points(group=PLACES[kind].group)
