@@ -17,9 +17,9 @@ from maniple.report.samples import Samples, Stamps
 
 Taken = NDArray[np.bool_]
 
-SPANS = 120
+SPANS = 80
 """At most this many spans of time,"""
-SHORTEST_S = 1.0
+SHORTEST_S = 2.0
 """of at least this length."""
 
 

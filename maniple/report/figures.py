@@ -30,7 +30,8 @@ KINDS: tuple[Kind, ...] = (
         "Trajectories",
         scene.trajectories,
         "Ways of the middles of the axles, obstacles (grey) and the way of the reference; triangles and "
-        "bodies at the start, when the shape is farthest from the desired one, and at the end, below from near.",
+        "bodies at the start, when the shape is farthest from the desired one, and at the end; below from "
+        "near.",
         "The recording holds no poses: neither ground truth nor odometry.",
     ),
     Kind(
@@ -67,8 +68,8 @@ KINDS: tuple[Kind, ...] = (
         "network",
         "Network",
         panels.network,
-        "What became of the messages sent, by link, and the share delivered on the worst link of each kind, "
-        "by the time of sending.",
+        "What became of the messages sent, by link, and the share delivered over the links of each kind "
+        "(median; thin: the worst), by the time of sending.",
         "The recording holds no journals: what was delivered is not known.",
     ),
     Kind(

@@ -1,5 +1,6 @@
 """What became of the messages on links that faults apply to, counted from journals and decisions."""
 
+from array import array
 from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
@@ -13,12 +14,14 @@ from maniple.core.messages import Call, Decisions, Journal, Refused
 class _Flow:
     """One directed link: a sender's life, a topic, a receiver."""
 
-    __slots__ = ("accepted", "decided", "dropped", "first", "last", "refused")
+    __slots__ = ("accepted", "dropped", "first", "last", "newest", "passed", "refused")
 
     def __init__(self) -> None:
         self.first = -1
         self.last = -1
-        self.accepted = self.decided = self.dropped = self.refused = 0
+        self.newest = -1
+        self.passed = array("q")
+        self.accepted = self.dropped = self.refused = 0
 
     @property
     def sent(self) -> int:
@@ -27,8 +30,10 @@ class _Flow:
 
     @property
     def missing(self) -> int:
-        """Of which nothing is known to have arrived."""
-        return self.sent - (self.decided or self.accepted + self.refused)
+        """What never arrived, though nobody dropped it. What fault injection let pass and is newer than all
+        that arrived is still held back."""
+        held = sum(seq > self.newest for seq in self.passed)
+        return max(self.sent - self.accepted - self.dropped - self.refused - held, 0)
 
     def saw(self, seq: int) -> None:
         self.first = seq if self.first < 0 else min(self.first, seq)
@@ -67,6 +72,7 @@ class LinkCounts:
                 flow = self._flow(receiver, call.source, call.name, call.incarnation)
                 flow.saw(call.seq)
                 flow.accepted += 1
+                flow.newest = max(flow.newest, call.seq)
 
     def decisions(self, decisions: Decisions) -> None:
         """What a receiver's fault injection did."""
@@ -74,8 +80,10 @@ class LinkCounts:
         for decided in decisions.decided:
             flow = self._flow(receiver, decided.source, decided.topic, decided.incarnation)
             flow.saw(decided.seq)
-            flow.decided += 1
-            flow.dropped += decided.dropped
+            if decided.dropped:
+                flow.dropped += 1
+            else:
+                flow.passed.append(decided.seq)
 
     def totals(self) -> dict[str, int]:
         """`sent`, `delivered`, `lost_injected`, `lost_other` and `refused` over all links.
@@ -92,7 +100,7 @@ class LinkCounts:
             "sent": sent,
             "delivered": delivered,
             "lost_injected": injected,
-            "lost_other": max(missing, 0),
+            "lost_other": missing,
             "refused": self._refused,
         }
 
@@ -109,7 +117,7 @@ class LinkCounts:
                 sent=sum(life.sent for life in lives),
                 delivered=sum(life.accepted for life in lives),
                 lost_injected=sum(life.dropped for life in lives),
-                lost_other=max(sum(life.missing for life in lives), 0),
+                lost_other=sum(life.missing for life in lives),
                 refused=max(life.refused for life in lives),
             )
             for (topic, source, receiver), lives in sorted(flows.items())

@@ -30,16 +30,15 @@ th, td { text-align: left; padding: .22rem .9rem .22rem 0; border-bottom: 1px so
   vertical-align: top; }
 th { font-weight: 600; } td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
 .scroll { overflow-x: auto; }
-.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(30rem, 100%), 1fr)); gap: 1.5rem;
-  align-items: start; }
-figure { margin: 0; break-inside: avoid; }
+.figures { columns: 2 28rem; column-gap: 1.5rem; }
+figure { margin: 0 0 1.5rem; break-inside: avoid; }
 figure img { width: 100%; height: auto; background: #fff; border: 1px solid var(--line); border-radius: 4px;
   padding: 6px; }
 figcaption { font-size: .9rem; } figcaption b { display: block; }
 summary { cursor: pointer; }
 @media print {
   :root { --ink: #000; --paper: #fff; --soft: #444; --line: #bbb; --warn: #7a2e00; }
-  body { max-width: none; padding: 0; font-size: 10pt; } .figures { grid-template-columns: 1fr 1fr; }
+  body { max-width: none; padding: 0; font-size: 10pt; } .figures { columns: 2; }
 }
 """
 

@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 
 from maniple.core.geometry import Floats
 from maniple.report.samples import Band, Track, band
@@ -33,6 +34,7 @@ from maniple.report.style import (
 
 VARIABLES = ("x", "y", r"$\psi_F$", "p", "q", r"$\beta$")
 METRES, RADIANS = (0, 1, 3, 4), (2, 5)
+MANY_TRIANGLES = 6
 
 
 def errors(series: Series) -> Figure | None:
@@ -40,7 +42,7 @@ def errors(series: Series) -> Figure | None:
     triangles = [one for one in series.triangles if len(one.seen.t) or len(one.true.t)]
     if not triangles:
         return None
-    if len(triangles) > MANY:
+    if len(triangles) > MANY_TRIANGLES:
         return _errors_together([one.seen for one in triangles], [one.true for one in triangles])
     figure = sheet(0.95 * len(triangles) + 0.85)
     grid = panels(figure, len(triangles), 2)
@@ -185,7 +187,9 @@ def ages(series: Series) -> Figure | None:
             axes.axhline(limit, color=colour, lw=1.1, ls=stripe)
         rows.append(row(word, color=colour, lw=1.1, ls=stripe))
     axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.yaxis.set_minor_locator(NullLocator())
     axes.set_ylabel("command age [s]")
     legend(figure, rows, columns=4)
     return figure
@@ -256,18 +260,23 @@ def network(series: Series) -> Figure | None:
     kinds: list[Artist] = []
     for place, share in enumerate(series.shares):
         how = {"color": COLOURS[place % len(COLOURS)], "ls": STRIPES[place % len(STRIPES)]}
-        lines.plot(share.t, 100 * _worst(share.shares), lw=0.9, **how)
+        middle, worst = _middle_and_worst(share.shares)
+        lines.plot(share.t, 100 * middle, **how)
+        lines.plot(share.t, 100 * worst, lw=0.5, alpha=0.6, **how)
         kinds.append(row(share.kind, **how))
-    lines.set(xlabel="time [s]", ylabel="delivered [%],\nworst link", ylim=(-4, 104))
+    lines.set(xlabel="time [s]", ylabel="delivered [%]", ylim=(-4, 104))
     fates = [patch(name, facecolor=c, hatch=h, edgecolor="white", lw=0) for name, c, h in NETWORK]
     legend(figure, [*fates, *kinds], columns=4)
     return figure
 
 
-def _worst(shares: Floats) -> Floats:
-    """Least over the links (links, k) in each span; NaN where none sent anything."""
-    least = np.min(np.nan_to_num(shares, nan=np.inf), axis=0)
-    return np.where(np.isfinite(least), least, np.nan)
+def _middle_and_worst(shares: Floats) -> tuple[Floats, Floats]:
+    """Median and least over the links (links, k) in each span; NaN where none sent anything."""
+    ordered = np.sort(shares, axis=0)  # NaN last
+    known = np.isfinite(shares).sum(axis=0)
+    spans = np.arange(shares.shape[1])
+    low, high = np.maximum(known - 1, 0) // 2, np.minimum(known // 2, len(shares) - 1)
+    return 0.5 * (ordered[low, spans] + ordered[high, spans]), ordered[0]
 
 
 def line(axes: Axes, track: Track, column: int, **how: object) -> None:

@@ -42,6 +42,9 @@ BANDS = {
 }
 """Colour and hatching of phases and modes."""
 
+SLOW = 10
+"""The rate of the reference is shown where more samples than this are below 1, as it is at every start."""
+
 COUNTED = 300
 """Moments at which many robots are counted."""
 
@@ -52,7 +55,7 @@ def phases(series: Series) -> Figure | None:
     if not series.phases and not robots:
         return None
     few = len(robots) <= MANY_ROWS
-    slows = bool((series.rate.values < 0.999).sum() > 2)
+    slows = bool((series.rate.values < 0.999).sum() > max(SLOW, 0.01 * len(series.rate.t)))
     rows = 1 + (len(robots) if few else 0) + bool(series.notes)
     heights = [0.15 * rows + 0.1, *([] if few else [0.9]), *([0.55] if slows else [])]
     figure = sheet(sum(heights) + 0.95)

@@ -63,6 +63,9 @@ LOOK: Any = {
 }
 """Settings of matplotlib that hold while a figure is drawn and saved."""
 
+HANDLE_EM = 2.2 + 0.8 + 1.2
+"""Width of what is beside a text in a legend: handle, gap, gap between columns."""
+
 PNG_DPI = 300
 
 _BARE: Mapping[str, dict[str, Any]] = {
@@ -107,10 +110,21 @@ def patch(label: str, **how: Any) -> Patch:
     return Patch(label=label, **how)
 
 
-def legend(figure: Figure, rows: Sequence[Artist], columns: int = 3) -> None:
-    """A legend below everything."""
+def legend(figure: Figure, rows: Sequence[Artist], columns: int) -> None:
+    """A legend below everything, in as many columns as fit, at most `columns`."""
     if rows:
-        figure.legend(handles=list(rows), loc="outside lower center", ncols=min(columns, len(rows)))
+        wanted = next((k for k in range(min(columns, len(rows)), 1, -1) if _fits(rows, k)), 1)
+        figure.legend(handles=list(rows), loc="outside lower center", ncols=wanted)
+
+
+def _fits(rows: Sequence[Artist], columns: int) -> bool:
+    """Whether a legend of so many columns is no wider than the figure, by its letters."""
+    em_in = LOOK["legend.fontsize"] / 72
+    parts = np.array_split(
+        [len(str(one.get_label()).replace("$", "").replace("\\", "")) for one in rows], columns
+    )
+    letters = sum(max(part, default=0) for part in map(list, parts))
+    return bool(em_in * (0.58 * letters + columns * HANDLE_EM - 1.2) < WIDTH_IN)
 
 
 def draw_band(axes: Axes, band: Band, colour: str, stripe: Any = "-") -> None:

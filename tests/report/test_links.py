@@ -128,6 +128,12 @@ def test_a_topic_of_another_version_is_passed_over() -> None:
     assert totals(journal(accepted(0, "robot/r1/mood"), accepted(0))) == (1, 1, 0, 0, 0)
 
 
+def test_what_a_dead_receiver_was_sent_is_lost() -> None:
+    """2 and 3 were let pass and never taken in; 4 was, by the next life of the receiver."""
+    calls = journal(*map(accepted, (0, 1, 4)))
+    assert totals(decided(range(6)), calls) == (6, 3, 0, 2, 0)
+
+
 def test_every_link_by_itself_over_all_lives() -> None:
     counts = LinkCounts()
     counts.journal(journal(*map(accepted, (0, 1, 3)), *(accepted(seq, incarnation=2) for seq in (0, 1))))
