@@ -10,7 +10,7 @@ from central_controller.lineup import Lineup
 from central_controller.mission import Mission, from_here
 from central_controller.reference import Reference, within
 from central_controller.roster import Member, Roster, View
-from central_controller.supervisor import Supervisor
+from central_controller.supervisor import Supervisor, exchange
 from central_controller.waiting import rate
 from central_controller.watched import WatchedLaw, WatchedPlanner
 from maniple.control.builtin import BUILTIN
@@ -21,6 +21,7 @@ from maniple.core import topics
 from maniple.core.geometry import Floats, Pose
 from maniple.core.messages import Alive, Command, FormationState, Goal, Phase, Refused, pack_floats
 from maniple.core.node import Outgoing, Received
+from maniple.core.scenario import outline
 from maniple.core.scenario.check import problems
 from maniple.core.scenario.shapes import pointed
 from maniple.core.scenario.types import Point, Scenario
@@ -64,6 +65,7 @@ class CentralController:
     def __init__(self, scenario: Scenario, parts: Parts = BUILTIN) -> None:
         layers = central_layers(scenario.placement.robot_from)
         self._scenario = scenario
+        self._robots = {robot.id: robot for robot in scenario.robots}
         self._parts = parts
         self._layers = layers
         self._layer = scenario.placement.robot_from
@@ -192,6 +194,7 @@ class CentralController:
 
     def _guide(self, views: Mapping[str, View], elapsed: Duration, now: Time) -> list[Outgoing]:
         """The formation law, and what the central layers make of it."""
+        self._exchange(views)
         robots = self._lineup.robots
         positions = np.array([views[name].point for name in robots])
         self._advance(elapsed, positions)
@@ -213,6 +216,21 @@ class CentralController:
             age = max(oldest, member.returns_age(now)) if self._with_ranges else oldest
             out.append(self._command(name, view, told, age))
         return [*out, self._state(target, now)]
+
+    def _exchange(self, views: Mapping[str, View]) -> None:
+        """Let robots of one kind that are in each other's way have each other's places."""
+        if not self._scenario.supervisor.exchange or self._lineup.building:
+            return
+        robots = [self._robots[name] for name in self._lineup.robots]
+        kinds = [(robot.model, robot.sensor, robot.control_point_m) for robot in robots]
+        alike = np.array([[one == other for other in kinds] for one in kinds])
+        reach = max(outline.radius(self._scenario.model_of(robot)) for robot in robots)
+        points = np.array([views[robot.id].point for robot in robots])
+        places = self._lineup.places_at(self._reference().pose)
+        order = exchange(points, places, range(len(robots)), alike, 2.0 * reach)
+        if order is not None:
+            self._lineup.exchange(order)
+            self._supervisor = self._supervise()
 
     def _advance(self, elapsed: Duration, positions: Floats) -> None:
         """Let the build-up or the task go on by a tick, if everybody follows."""
@@ -325,8 +343,7 @@ class CentralController:
         return Supervisor(self._scenario.supervisor, signed, self._lineup.robots)
 
     def _pipeline(self, name: str) -> Pipeline:
-        robot = next(robot for robot in self._scenario.robots if robot.id == name)
-        return Pipeline(self._layers, self._scenario, robot, self._parts)
+        return Pipeline(self._layers, self._scenario, self._robots[name], self._parts)
 
     def _state(self, target: Reference, now: Time) -> Outgoing:
         lineup, mission = self._lineup, self._mission

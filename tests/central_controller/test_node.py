@@ -39,6 +39,7 @@ from maniple.core.scenario.types import (
     Robot,
     Scenario,
     Shape,
+    Supervisor,
     Waiting,
 )
 from maniple.core.time import MILLISECOND, SECOND, Time
@@ -712,3 +713,18 @@ def test_a_triangle_may_lean_on_its_neighbours() -> None:
         told[reference], _ = driver.tick()
     assert told["formation"]["r2"].values == pytest.approx(told["neighbours"]["r2"].values)
     assert told["formation"]["r4"].values != pytest.approx(told["neighbours"]["r4"].values, abs=0.005)
+
+
+def test_robots_of_one_kind_exchange_their_places_instead_of_passing_each_other() -> None:
+    """r3 and r4 stand where the other belongs."""
+    swapped = list(scenario().robots)
+    swapped[2], swapped[3] = (
+        replace(swapped[2], pose=swapped[3].pose),
+        replace(swapped[3], pose=swapped[2].pose),
+    )
+    for allowed, chain in ((True, ("r1", "r2", "r4", "r3")), (False, ("r1", "r2", "r3", "r4"))):
+        driver = Driver(scenario(robots=tuple(swapped), supervisor=Supervisor(exchange=allowed)))
+        driver.odometries()
+        _, state = driver.tick()
+        assert state.chain == chain
+        assert (np.abs(unpack_floats(state.errors)).max() < 1e-6) == allowed
