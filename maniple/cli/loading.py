@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 from msgspec.structs import replace
 
@@ -27,14 +27,20 @@ def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> 
     Raises:
         ScenarioError: names the file and what is wrong with it.
     """
+    return loads(_read(path), overrides, seed, form=_form(path), source=str(path), folder=path.parent)
+
+
+def table_of(path: Path) -> dict[str, Any]:
+    """What a TOML file, or a `.json` one, decodes to.
+
+    Raises:
+        ScenarioError: names the file and what is wrong with it.
+    """
+    data = _read(path)
     try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST_FILE + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ScenarioError(f"{path}: can't be read: {reason}") from None
-    form: Literal["toml", "json"] = "json" if path.suffix.lower() == ".json" else "toml"
-    return loads(data, overrides, seed, form=form, source=str(path), folder=path.parent)
+        return _table(data, _form(path))
+    except ScenarioError as error:
+        raise ScenarioError(f"{path}: {error}") from None
 
 
 def loads(
@@ -49,9 +55,7 @@ def loads(
     """The scenario in bytes, as `load` gives it; `source` is what messages call them, and files it names are
     relative to `folder`."""
     try:
-        if len(data) > LARGEST_FILE:
-            raise ScenarioError(f"larger than {LARGEST_FILE >> 20} MiB: not a scenario")
-        table = with_overrides(json_data(data) if form == "json" else toml_data(data), overrides)
+        table = with_overrides(_table(data, form), overrides)
         if seed is not None:
             table["seed"] = seed
         return completed(scenario_of(table), folder)
@@ -81,6 +85,25 @@ def robot_models() -> Mapping[str, RobotModel]:
 def range_finders() -> Mapping[str, RangeFinder]:
     """The catalogue of range finders, by name."""
     return _catalogue("sensors", RangeFinder)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(LARGEST_FILE + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ScenarioError(f"{path}: can't be read: {reason}") from None
+
+
+def _form(path: Path) -> Literal["toml", "json"]:
+    return "json" if path.suffix.lower() == ".json" else "toml"
+
+
+def _table(data: bytes, form: Literal["toml", "json"]) -> dict[str, Any]:
+    if len(data) > LARGEST_FILE:
+        raise ScenarioError(f"larger than {LARGEST_FILE >> 20} MiB: not a scenario")
+    return json_data(data) if form == "json" else toml_data(data)
 
 
 @cache

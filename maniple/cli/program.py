@@ -3,6 +3,7 @@
 import typer
 
 from maniple.cli import (
+    goal_command,
     log_commands,
     node_commands,
     plan_command,
@@ -35,6 +36,7 @@ for _name, _about in node_commands.COMMANDS.items():
         add_help_option=False,
         context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
     )(_pass_on)
+app.add_typer(goal_command.app, name="goal")
 app.add_typer(log_commands.app, name="log")
 app.add_typer(scenario_commands.app, name="scenario")
 

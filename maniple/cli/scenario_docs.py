@@ -76,11 +76,10 @@ def field_texts() -> dict[str, dict[str, str]]:
 def unit(kind: type, name: str) -> str:
     """The unit of a field, by its name's suffix or its type; empty where it has none."""
     hint = get_type_hints(kind)[name]
-    if name in ("pose", "sensor_mount"):
+    if hint in (PoseXY, PoseXY | None, tuple[PoseXY, ...]):
         return "m, m, rad"
     if hint in (Point, tuple[Point, ...]) or name == "size":
         return "m"
-    assert hint is not PoseXY
     return next((text for suffix, text in UNITS.items() if name.endswith(suffix)), "")
 
 

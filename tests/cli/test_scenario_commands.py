@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib.image
+import msgspec
 import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
@@ -15,6 +16,7 @@ from maniple.cli.loading import load, loads
 from maniple.cli.scenario_commands import app
 from maniple.core.errors import ManipleError, MissingExtraError, ScenarioError
 from maniple.core.geometry import Pose
+from maniple.core.scenario.parse import toml_data
 from maniple.core.scenario.places import legs_of
 from maniple.core.scenario.types import Line, Scenario
 from maniple.core.scenario.ways import way_of
@@ -90,7 +92,7 @@ def test_check_for_people() -> None:
 
 KINDS = {
     "circle": "2 x round a circle of radius 5 m, not turning, 62.83 m in 314.2 s, at up to 0.2 m/s\n",
-    "figure-eight": "1 x through a figure eight of loops of 5 m, 30.49 m in 152.4 s, at up to 0.2 m/s, places",
+    "figure-eight": "1 x through a figure eight of loops of 5 m, 30.49 m in 152.4 s, at up to 0.2 m/s, ",
     "waypoints": "way through 3 points, 9.142 m in 91.42 s, at up to 0.1 m/s, places at",
     "samples": "way through 3 samples, 4 m in 40 s, at up to 0.1 m/s\n",
     "positioning": "positioning at 9, 0, 0, in about 9",
@@ -248,9 +250,12 @@ def test_the_page_is_what_the_types_say() -> None:
     assert run("docs").stdout == page
 
 
-def test_the_minimal_example_of_the_page_is_valid() -> None:
-    (example,) = re.findall(r"```toml\n(.*?)```", scenario_docs.markdown(), flags=re.DOTALL)
-    assert len(loads(example.encode()).robots) == 3
+def test_the_examples_of_the_page_are_valid() -> None:
+    minimal, task = re.findall(r"```toml\n(.*?)```", scenario_docs.markdown(), flags=re.DOTALL)
+    assert len(loads(minimal.encode()).robots) == 3
+    data = toml_data(minimal.encode()) | toml_data(task.encode())
+    text = msgspec.json.encode(data)
+    assert loads(text, form="json", folder=ROOT / "scenarios").task != loads(minimal.encode()).task
 
 
 def test_the_overrides_of_the_page_work() -> None:

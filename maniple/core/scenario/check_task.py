@@ -17,6 +17,7 @@ from maniple.core.scenario.types import (
     Robot,
     Samples,
     Scenario,
+    Task,
     Waypoints,
 )
 from maniple.core.scenario.types import Sequence as Legs
@@ -43,11 +44,24 @@ MOST_SAMPLES = 20_000
 
 def task_problems(scenario: Scenario) -> Iterator[str]:
     """What is wrong with the task of a scenario that is right otherwise: path, value, what would be valid."""
-    task = scenario.task
+    if found := list(way_problems(scenario.task)):
+        yield from found
+        return
+    for path, leg in _paths(scenario.task):
+        yield from _motion_problems(path, leg, scenario)
+
+
+def way_problems(task: Task) -> Iterator[str]:
+    """What is wrong with a task whoever is to do it."""
+    for path, leg in _paths(task):
+        yield from _leg_problems(path, leg)
+        yield from _far_points(path, leg)
+
+
+def _paths(task: Task) -> Iterator[tuple[str, Leg]]:
+    """Every part of a task under its path."""
     for index, leg in enumerate(legs_of(task)):
-        path = f"task.tasks[{index}]" if isinstance(task, Legs) else "task"
-        found = [*_leg_problems(path, leg), *_far_points(path, leg)]
-        yield from found or _motion_problems(path, leg, scenario)
+        yield f"task.tasks[{index}]" if isinstance(task, Legs) else "task", leg
 
 
 def _leg_problems(path: str, leg: Leg) -> Iterator[str]:
