@@ -7,7 +7,17 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from benchmarks.evidence.platoons import DT_S, KAPPA, SATURATION, Case, Platoons, headings, places, starts
+from benchmarks.evidence.platoons import (
+    DT_S,
+    KAPPA,
+    SATURATION,
+    SLOW,
+    Case,
+    Platoons,
+    headings,
+    places,
+    starts,
+)
 from benchmarks.evidence.study import converge, exact_bound, pushed
 from benchmarks.lone_robot import drive_past, seen
 from central_controller import formation
@@ -205,12 +215,13 @@ def later() -> Lines:
 
 
 def thrown() -> Lines:
-    """Section 4.3, "the whole structure will converge": long chains are thrown apart before."""
-    for case in (Case(6), Case(20), Case(50), Case(50, assigned=True)):
+    """Section 4.3, "the whole structure will converge": long chains are thrown apart by saturated angles."""
+    for case in (Case(6), Case(20), Case(50), Case(50, assigned=True), Case(50, slow_angles=True)):
         outcome = converge(case, 0, 20, 300.0)
         there, farthest = np.isfinite(outcome.time_s).sum(), np.median(outcome.farthest_m, axis=0)
         shown = ", ".join(f"R{k} {farthest[k - 1]:.2g} m" for k in (3, 6, 10, 20, 30, 40, 50) if k <= case.n)
-        yield f"n = {case.n}, {case.variant}: {there} of 20 in formation after 300 s"
+        entries = SLOW if case.slow_angles else SATURATION
+        yield f"n = {case.n}, {case.variant}, L = {entries}: {there} of 20 in formation after 300 s"
         yield f"  farthest from its place, median: {shown}"
 
 

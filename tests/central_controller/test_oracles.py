@@ -110,3 +110,17 @@ def test_the_inverse_jacobian_is_the_derivative_of_eq_5_or_6(sequence: Sequence,
         if signed and sequence == "ACB":
             printed = printed * [1, 1, 1, 1, 1, -1]
         assert_allclose(matrix, printed, atol=1e-9)
+
+
+@pytest.mark.parametrize("n", [3, 4, 6, 10])
+def test_a_chain_has_2n_minus_3_shape_variables(n: int) -> None:
+    """Of the 3(n - 2) shape variables, 2(n - 2) + 1 are free, for p of a triangle is r of the one before."""
+    positions = np.random.default_rng(n).uniform(-3.0, 3.0, size=(n, 2))
+    windows = np.stack([positions[j : j + 3] for j in range(n - 2)])
+    gradients = np.zeros((n - 2, 3, 2 * n))
+    for j, matrix in enumerate(jacobian(windows)):
+        gradients[j, :, 2 * j : 2 * j + 6] = matrix[3:]
+    assert np.linalg.matrix_rank(gradients.reshape(-1, 2 * n), tol=1e-9) == 2 * (n - 2) + 1
+    shapes = f(windows)[:, 3:]
+    between = np.linalg.norm(windows[:, 2] - windows[:, 1], axis=-1)
+    assert_allclose(shapes[1:, 0], between[:-1])
