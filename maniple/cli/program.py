@@ -4,6 +4,7 @@ import typer
 
 from maniple.cli import (
     goal_command,
+    layer_commands,
     log_commands,
     node_commands,
     plan_command,
@@ -37,6 +38,7 @@ for _name, _about in node_commands.COMMANDS.items():
         context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
     )(_pass_on)
 app.add_typer(goal_command.app, name="goal")
+app.add_typer(layer_commands.app, name="layer")
 app.add_typer(log_commands.app, name="log")
 app.add_typer(scenario_commands.app, name="scenario")
 

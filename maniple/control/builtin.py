@@ -6,8 +6,8 @@ from maniple.control.kinematics import kinematics_of
 from maniple.control.parts import Parts
 
 BUILTIN = Parts(
+    kinematics={"": kinematics_of},
     avoidance={"impedance": Impedances},
     compensation={"adaptive": Adaptive},
-    kinematics={"": kinematics_of},
 )
-"""Formation laws and planners are the controller's."""
+"""Formation laws and planners are the controller's. "" is the kinematics of the robot's own drive."""
