@@ -165,4 +165,5 @@ def _window(series: Series) -> tuple[float, float]:
     """Width and height (m) in which the platoon fits at each moment, not too tall for its width."""
     sizes = [np.nanmax(s.points, axis=0) - np.nanmin(s.points, axis=0) for s in series.snapshots]
     wide, high = np.max(sizes, axis=0) + 2 * MARGIN_M
-    return float(max(wide, high / 1.6)), float(max(high, wide / 2.2))
+    names = len(series.robots) <= MANY  # which stand above their robots
+    return float(max(wide, high / 1.6)), float(max(high, wide / (1.5 if names else 2.2)))

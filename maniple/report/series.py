@@ -410,9 +410,9 @@ def outcome(series: Series) -> str:
     clean = f"with {hits} collision{'s' * (hits > 1)}" if hits else "without a collision"
     clean = clean if series.true else "with no ground truth to tell collisions"
     if last is None:
-        return "The controller never spoke."
+        return "The recording holds no word of the controller."
     if figures.completed:
-        return f"Completed in {figures.duration_s:.1f} s, {clean}."
+        return f"Completed{f' in {figures.duration_s:.1f} s' if series.true else ''}, {clean}."
     why = f": {last.reason}" if last.reason else ""
     waits = f", waiting for {', '.join(last.waits_for)}" if last.waits_for else ""
     covered = f"{100 * series.task_share:.0f} % of the task's time"

@@ -1,6 +1,7 @@
 """What happened when: spans of time and events, from what was said."""
 
 from collections.abc import Iterable, Sequence
+from itertools import zip_longest
 from typing import NamedTuple
 
 from maniple.core.messages import FormationState, Goal
@@ -31,7 +32,7 @@ def spans_of(
     has been for `silent_s`. Nothing is said by an empty string."""
     rows = [((stamp - begin) / SECOND, what) for stamp, what in said]
     spans: list[Span] = []
-    for (t, what), (following, _) in zip(rows, [*rows[1:], (end_s, "")], strict=True):
+    for (t, what), (following, _) in zip_longest(rows, rows[1:], fillvalue=(end_s, "")):
         until = following if following - t <= silent_s else min(t + silent_s, following)
         if spans and spans[-1].what == what and spans[-1].end >= t:
             spans[-1] = spans[-1]._replace(end=until)
