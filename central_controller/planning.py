@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from central_controller.formation import Gains
 from maniple.control.parts import Planner
 from maniple.core.errors import MissingExtraError
 from maniple.core.geometry import Floats
@@ -190,6 +191,17 @@ class Straight:
         share = s * s * s * (10.0 - s * (15.0 - 6.0 * s))
         rate = 30.0 * (s * (1.0 - s)) ** 2 / self.duration_s
         return self._start + share * self._way, rate * self._way
+
+
+def follow(points: Floats, velocities: Floats, positions: Floats, gains: Gains) -> Floats:
+    """Velocities (n, 2) in m/s of control points at `positions` that are to be at `points` and move at
+    `velocities`, all (n, 2) in m and m/s in one frame.
+
+    Each for itself, by eq. (7) with the gains of x and y: x' = x_des' + L tanh(L^-1 kappa (x_des - x)). That
+    is how straight ways are to be followed: on the way the triangles may be singular, or mirror images.
+    """
+    reach = gains.slope[:2] * (points - positions)
+    return np.asarray(velocities + gains.saturation[:2] * np.tanh(reach))
 
 
 def overlaps(places: Floats) -> int:

@@ -12,10 +12,12 @@ from numpy.testing import assert_allclose
 from shapely import LineString, Polygon
 
 from central_controller import planning
+from central_controller.formation import Gains
 from central_controller.planning import METHODS, Straight
 from maniple.core.errors import MissingExtraError
 from maniple.core.geometry import Floats
 from maniple.core.scenario.shapes import SHAPES, points
+from maniple.core.scenario.types import Controller
 from maniple.core.streams import stream
 
 seeds = st.integers(0, 2**32 - 1)
@@ -194,6 +196,21 @@ def test_a_formation_that_stands_already_takes_no_time() -> None:
     way = Straight(places, places, 0.1)
     assert way.duration_s == 0.0
     assert_allclose(way.at(0.0)[0], places)
+
+
+def test_points_come_back_to_their_straight_ways_and_stay_there() -> None:
+    """The error of each coordinate obeys e' = -L tanh(kappa / L e), whose solution has a closed form."""
+    start, end = scattered("follow", 12).reshape(2, 6, 2)
+    way, gains = Straight(start, end, 0.2), Gains.of(Controller(kappa=0.25, saturation=0.1))
+    dt, lasts_s = 0.01, 8.0
+    x = start + 0.5 * np.sign(start - 4.0)
+    first = way.at(0.0)[0] - x
+    for k in range(round(lasts_s / dt)):
+        x = x + dt * planning.follow(*way.at((k + 0.5) * dt), x, gains)
+    left = np.arcsinh(np.sinh(2.5 * first) * math.exp(-0.25 * lasts_s)) / 2.5
+    assert_allclose(way.at(lasts_s)[0] - x, left, atol=1e-3)
+    on_the_way = way.at(5.0)
+    assert_allclose(planning.follow(*on_the_way, on_the_way[0], gains), on_the_way[1])
 
 
 @pytest.mark.parametrize("n", [3, 5, 9, 20])
