@@ -122,9 +122,11 @@ def implementation(kind: Kind, name: str, path: str) -> Any:
 
 
 def _named(kind: Kind, used: Iterable[tuple[str, str]]) -> Mapping[str, Any]:
-    """The built-in ones and those that are used, which are looked for only then."""
-    found = dict(PLACES[kind].builtin)
-    return found | {name: implementation(kind, name, path) for path, name in used if name not in found}
+    """The built-in ones and those that are used."""
+    return {
+        **PLACES[kind].builtin,
+        **{name: implementation(kind, name, path) for path, name in used if name},
+    }
 
 
 def _points(kind: Kind) -> Iterable[EntryPoint]:

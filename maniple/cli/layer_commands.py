@@ -128,15 +128,21 @@ def _options(given: list[str]) -> dict[str, Any]:
 
 def _subject(scenario: Scenario | None, kind: Kind, options: dict[str, Any]) -> Subject:
     """The parameters of a scenario, or the defaults, with `options` added to those of the layer."""
+    replace = msgspec.structs.replace
     if scenario is None:
         model, control_point_m = robot_models()["pioneer-3dx"], CONTROL_POINT_M
-        parts = (Controller(), Avoidance(), Compensation())
+        law, avoid, compensate = Controller(), Avoidance(), Compensation()
     else:
         robot = scenario.robots[0]
         model, control_point_m = scenario.model_of(robot), robot.control_point_m
-        parts = (scenario.controller, scenario.avoidance, scenario.compensation)
-    controller, avoidance, compensation = (
-        msgspec.structs.replace(part, options={**part.options, **(options if kind == owner else {})})
-        for part, owner in zip(parts, ("formation-law", "avoidance", "compensation"), strict=True)
-    )
-    return Subject(controller, avoidance, compensation, model, control_point_m)
+        law, avoid, compensate = scenario.controller, scenario.avoidance, scenario.compensation
+    match kind:
+        case "formation-law":
+            law = replace(law, options={**law.options, **options})
+        case "avoidance":
+            avoid = replace(avoid, options={**avoid.options, **options})
+        case "compensation":
+            compensate = replace(compensate, options={**compensate.options, **options})
+        case _ if options:
+            raise ArgumentError(f"--option: a {kind} has none")
+    return Subject(law, avoid, compensate, model, control_point_m)
