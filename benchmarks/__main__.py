@@ -20,6 +20,7 @@ NAMES = (
     "round_trip",
     "agent_footprint",
     "compensation",
+    "planning",
 )
 """Modules with a `TITLE` and `rows(quick)`, in the order of the table."""
 

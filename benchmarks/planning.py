@@ -2,7 +2,7 @@
 
 `python -m benchmarks.planning [--starts N]` prints the table of docs/planning.md. The robots are Pioneers
 within the catalogue's limits whose drives follow with a first-order lag, guided at 10 Hz. Nothing stops them
-when they meet: what is counted are the starts in which the circles round two bodies, or the bodies, overlapped.
+when they meet: counted are the starts in which circles round two bodies, or the bodies, overlapped.
 """
 
 import argparse

@@ -30,8 +30,8 @@ class Shape(Parameters, frozen=True, kw_only=True):
     """A named shape of the formation, for any number of robots."""
 
     kind: Literal["line-abreast", "vee", "wedge", "polygon", "column"]
-    """Triangles side by side, a vee open to the front, a wedge, a regular polygon, or triangles in a
-    column."""
+    """Triangles side by side, a vee (one robot at the back and two arms forward), a wedge (the other way
+    round), a regular polygon, or triangles in a column."""
     spacing_m: Positive
     """Distance between neighbours."""
 
@@ -379,7 +379,8 @@ class Planning(Parameters, frozen=True, kw_only=True):
 
     method: str = "given"
     """Who takes which place: "given" (the order of the robots), "final-reorganization" and "proximity" (the
-    two of section 5), "optimal" (least total travel), or the name of an installed planner."""
+    two of section 5), "optimal" (least sum of the squared ways, see docs/planning.md; needs SciPy), or the
+    name of an installed planner."""
     relabel: bool = False
     """Whether the places may be numbered anew so that the triangles of the chain overlap as little as
     possible."""
