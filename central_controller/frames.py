@@ -26,4 +26,4 @@ class Mounting(NamedTuple):
 def propagated(odometry: Odometry, age_s: float) -> Pose:
     """Where the robot is in its own frame `age_s` after its odometry, had it kept its velocities."""
     pose = Pose(odometry.x_m, odometry.y_m, odometry.psi_rad)
-    return pose.advance(odometry.u_mps * age_s, odometry.w_radps * age_s)
+    return pose.advance(odometry.u_mps * age_s, odometry.w_radps * age_s, odometry.v_mps * age_s)

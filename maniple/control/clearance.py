@@ -36,6 +36,9 @@ from maniple.control.returns import Returns
 from maniple.core.geometry import Floats, wrap_array
 from maniple.core.scenario.types import Guard
 
+_PROJECTIONS = 10
+"""Of a velocity onto what is allowed, before the robot stands instead."""
+
 
 class ClearSpeed(NamedTuple):
     """The largest speeds, m/s in the direction wanted, that the clearance rules allow."""
@@ -56,7 +59,7 @@ def clear_speed(
     dt_s: float,
 ) -> ClearSpeed:
     """What the clearance rules allow of `wanted` in a direction of the robot's frame (rad): 0 is ahead, pi
-    backwards. `measured` is how the robot moves.
+    backwards. `measured` is how the robot moves, `returns` are seen from the middle of its circle.
 
     The speeds u of both count in that direction, and turns either way: nothing is negative. `dt_s` is how
     long a command lasts.
@@ -74,8 +77,8 @@ def clear_speed(
     turn += limits.w_lag_s * max(limits.gain * wanted.w, measured.w)
     room = (returns.distance[near] - keep) / limits.gain
     off = np.abs(wrap_array(returns.bearing[near] - direction) if direction else returns.bearing[near])
-    if returns.half_cone:
-        off = np.maximum(off - returns.half_cone, 0.0)
+    if returns.half_cone or limits.swing:
+        off = np.maximum(off - returns.half_cone - limits.swing, 0.0)
     left = _way_until(room, off)
     comfortable = min(gamma * (left - lag * rolling), gamma * left / (1.0 + gamma * lag))
     left = _way_until(room + 0.5 * parameters.margin_m / limits.gain, np.maximum(off - turn, 0.0))
@@ -83,6 +86,60 @@ def clear_speed(
         _braked_within(left - lag * rolling, brake, blind_s), _braked_within(left, brake, blind_s + lag)
     )
     return ClearSpeed(min(max(comfortable, 0.0), speed), min(stoppable, speed))
+
+
+def clear_velocity(
+    parameters: Guard,
+    limits: Limits,
+    wanted: Velocity,
+    measured: Velocity,
+    returns: Returns,
+    dt_s: float,
+) -> Velocity:
+    """What near `wanted` the rules allow a robot that moves in every direction.
+
+    Here they bound how fast it closes in on each return: what is too fast is taken off in its direction, so
+    that the robot slides along a thing. The braking rule counts that the whole velocity is braked evenly, and
+    that what still turns may turn it towards the thing; where it still rolls too fast even so, it stops
+    turning.
+    """
+    brake, lag = limits.brake, limits.u_lag_s
+    u, w, v = wanted
+    speed = max(math.hypot(u, v), math.hypot(measured.u, measured.v) / limits.gain)
+    blind_s = dt_s + limits.delay_s
+    gamma = min(parameters.gamma_per_s, 1.0 / (3.0 * blind_s))
+    keep = limits.radius + parameters.margin_m
+    way = lag * speed + max(speed / gamma, speed * blind_s + 0.5 * speed * speed / brake)
+    near = (returns.distance < keep + limits.gain * way).nonzero()[0]
+    if not near.size:
+        return wanted
+    bearing = returns.bearing[near]
+    x, y = np.cos(bearing), np.sin(bearing)
+    room = (returns.distance[near] - keep) / limits.gain
+    rolling = (measured.u * x + measured.v * y) / limits.gain
+    comfortable = gamma * np.minimum(room - lag * np.maximum(rolling, 0.0), room / (1.0 + gamma * lag))
+    turn = limits.gain * (abs(w) * blind_s + 0.5 * w * w / limits.w_accel)
+    turn += limits.w_lag_s * max(limits.gain * abs(w), abs(measured.w)) + returns.half_cone
+    astray = math.sin(min(turn, 0.5 * math.pi))
+    room += 0.5 * parameters.margin_m / limits.gain
+    rolling += astray * math.hypot(measured.u, measured.v) / limits.gain
+    left = room - lag * np.maximum(rolling, 0.0)
+    if ((left < 0.0) & (rolling > 0.0)).any():
+        w = 0.0
+    stoppable = np.minimum(
+        left / (blind_s + 0.5 * speed / brake),
+        room / (blind_s + lag + 0.5 * speed / brake),
+    )
+    comfortable, stoppable = np.maximum(comfortable, 0.0), np.maximum(stoppable, 0.0)
+    for _ in range(_PROJECTIONS):
+        closing = u * x + v * y
+        excess = np.maximum(closing - comfortable, closing + astray * math.hypot(u, v) - stoppable)
+        worst = int(excess.argmax())
+        if excess[worst] <= 1e-9:
+            return Velocity(u, w, v)
+        u -= float(excess[worst] * x[worst])
+        v -= float(excess[worst] * y[worst])
+    return Velocity(0.0, w, 0.0)
 
 
 def _way_until(room: Floats, off: Floats) -> float:

@@ -3,9 +3,10 @@
 import math
 from typing import Literal, NamedTuple, TypeAlias
 
-from maniple.control.clearance import clear_speed
+from maniple.control.clearance import clear_speed, clear_velocity
 from maniple.control.limits import Limits, Velocity
-from maniple.control.returns import Returns
+from maniple.control.returns import Returns, moved
+from maniple.core.geometry import Pose
 from maniple.core.scenario.types import Guard
 
 Reason: TypeAlias = Literal["none", "age", "speed", "acceleration", "clearance", "blind"]
@@ -60,8 +61,12 @@ def step(
     verdict = Verdict(sent, reason)
     if not parameters.clearance or returns is None:
         return verdict
+    if limits.centre:
+        returns = moved(returns, Pose(limits.centre, 0.0, 0.0))
     if limits.v_max and returns.sees_ahead and returns.sees_behind:
-        verdict = _cleared_around(parameters, limits, state, verdict, returns, dt_s, measured)
+        clear = clear_velocity(parameters, limits, sent, measured, returns, dt_s)
+        if clear != sent:
+            verdict = Verdict(_ramped(limits, state, clear, dt_s), "clearance")
     else:
         if sent.v:
             verdict = Verdict(_ramped(limits, state, able._replace(v=0.0), dt_s), "blind")
@@ -101,38 +106,6 @@ def _cleared(
     if (going > 0.0 or rolls_on) and going > clear.stoppable:
         w, reason = _ramp(state.w, 0.0, limits.w_accel, limits.w_accel, dt_s), "clearance"
     return Verdict(Velocity(u, w, v), reason)
-
-
-def _cleared_around(
-    parameters: Guard,
-    limits: Limits,
-    state: Velocity,
-    wanted: Verdict,
-    returns: Returns,
-    dt_s: float,
-    measured: Velocity,
-) -> Verdict:
-    """What of `wanted` the clearance rules leave a robot that moves any way and sees all around: applied in
-    the direction it still rolls, and in the one it goes. What is too fast is taken off in that direction."""
-    for rolled in (True, False):
-        (u, w, v), _ = wanted
-        axis = (measured.u, measured.v) if rolled else (u, v)
-        length = math.hypot(*axis)
-        if length * (limits.u_lag_s if rolled else 1.0) <= (_STILL_M if rolled else 0.0):
-            continue
-        x, y = axis[0] / length, axis[1] / length
-        going, rolling = u * x + v * y, measured.u * x + measured.v * y
-        heading = Velocity(max(going, 0.0), abs(w))
-        wheels = Velocity(max(rolling, 0.0), abs(measured.w))
-        clear = clear_speed(parameters, limits, heading, wheels, math.atan2(y, x), returns, dt_s)
-        if (excess := going - max(min(clear), 0.0)) > 0.0:
-            slower = Velocity(u - excess * x, w, v - excess * y)
-            wanted = Verdict(_ramped(limits, state, slower, dt_s), "clearance")
-            going = wanted.velocity.u * x + wanted.velocity.v * y
-        if going > clear.stoppable:
-            w = _ramp(state.w, 0.0, limits.w_accel, limits.w_accel, dt_s)
-            wanted = Verdict(wanted.velocity._replace(w=w), "clearance")
-    return wanted
 
 
 def _ramped(limits: Limits, state: Velocity, target: Velocity, dt_s: float) -> Velocity:

@@ -25,7 +25,7 @@ class Limits(NamedTuple):
     brake: float
     """m/s^2, losing speed."""
     radius: float
-    """Of the circle around the body, from the middle of the axle, m."""
+    """Of the circle around the body, m."""
     gain: float
     """The drive goes at most this much faster than it is told, at least 1."""
     u_lag_s: float
@@ -44,6 +44,10 @@ class Limits(NamedTuple):
     """m/s, sideways either way; 0 for a robot that can't."""
     curvature: float = math.inf
     """1/m, the most it turns for each metre it drives."""
+    centre: float = 0.0
+    """m, how far ahead of the middle of the axle the middle of that circle is."""
+    swing: float = 0.0
+    """rad, the most its way differs from ahead or backwards where the robot drives an arc."""
 
 
 class Velocity(NamedTuple):
@@ -58,10 +62,16 @@ class Velocity(NamedTuple):
 
 
 def limits_of(scenario: Scenario, robot: Robot) -> Limits:
-    """The limits of a robot of a resolved scenario."""
+    """The limits of a robot of a resolved scenario.
+
+    The circle around the body is centred on the axle, so that the robot may turn on the spot in it. A car
+    can't, and its axle is far from its middle: its circle is centred on the body.
+    """
     model, rates = scenario.model_of(robot), scenario.rates
     th1, th2, _, th4, _, th6 = model.theta
     hold_s, stop_s = age_limits(scenario, robot)
+    curvature = curvature_max(model)
+    centre = model.body_offset_m if model.drive == "car" else 0.0
     avoids = "avoidance" in onboard_layers(scenario.placement.robot_from)
     return Limits(
         u_min=-model.u_max_mps,
@@ -70,7 +80,7 @@ def limits_of(scenario: Scenario, robot: Robot) -> Limits:
         u_accel=model.u_accel_mps2,
         w_accel=model.w_accel_radps2,
         brake=model.brake_mps2,
-        radius=outline.radius(model),
+        radius=outline.radius(model, centre),
         gain=max(1.0, 1.0 / th4, 1.0 / th6),
         u_lag_s=th1 / th4,
         w_lag_s=th2 / th6,
@@ -79,7 +89,9 @@ def limits_of(scenario: Scenario, robot: Robot) -> Limits:
         hold_s=hold_s,
         stop_s=stop_s,
         v_max=model.v_max_mps or 0.0,
-        curvature=curvature_max(model),
+        curvature=curvature,
+        centre=centre,
+        swing=math.atan(curvature * abs(centre)) if centre else 0.0,
     )
 
 

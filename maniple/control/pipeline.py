@@ -8,6 +8,7 @@ from maniple.control.kinematics import Kinematics
 from maniple.control.limits import Velocity
 from maniple.control.parts import AvoidanceLaw, CompensationLaw, Parts, chosen, made
 from maniple.control.returns import Returns
+from maniple.control.swerve import Swerve
 from maniple.core.layers import PIPELINE, Layer, central_layers, onboard_layers
 from maniple.core.scenario.types import Robot, Scenario
 
@@ -43,6 +44,8 @@ class Pipeline:
         if "avoidance" in layers and scenario.avoidance.enabled:
             avoid = chosen(parts.avoidance, scenario.avoidance.law, "avoidance.law")
             self._avoidance = made("avoidance", avoid, scenario.avoidance, model)
+            if model.drive == "omnidirectional":
+                self._avoidance = Swerve(self._avoidance, robot.control_point_m)
         if "compensation" in layers and scenario.compensation.enabled:
             compensate = chosen(parts.compensation, scenario.compensation.law, "compensation.law")
             self._compensation = made("compensation", compensate, scenario.compensation, model)

@@ -24,9 +24,9 @@ def body(pose: Sequence[float], model: RobotModel) -> Corners:
     return rectangle(middle, model.length_m, model.width_m)
 
 
-def radius(model: RobotModel) -> float:
-    """Of the circle around a robot's body whose centre is the middle of the axle, m."""
-    return math.hypot(0.5 * model.length_m + abs(model.body_offset_m), 0.5 * model.width_m)
+def radius(model: RobotModel, centre_m: float = 0.0) -> float:
+    """Of the circle around a robot's body whose middle is `centre_m` ahead of the middle of the axle, m."""
+    return math.hypot(0.5 * model.length_m + abs(model.body_offset_m - centre_m), 0.5 * model.width_m)
 
 
 def corners_of(obstacle: Box | Polygon | Wall) -> Corners:
