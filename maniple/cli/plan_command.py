@@ -10,11 +10,12 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
-from central_controller.planning import METHODS, Straight, overlaps, plan, relabel
+from central_controller.planning import Straight, overlaps, plan, relabel
+from maniple.cli.extensions import implementation, installed
 from maniple.cli.loading import load
 from maniple.cli.scenario_commands import PIPED_WIDTH, File, Json, Seed, Set
 from maniple.control import unicycle
-from maniple.control.parts import Planner, chosen
+from maniple.control.parts import Planner
 from maniple.core.errors import ManipleError, MissingExtraError
 from maniple.core.geometry import Floats, Pose, rotation
 from maniple.core.scenario.places import start_pose
@@ -83,14 +84,12 @@ def plans_of(scenario: Scenario, method: str | None = None) -> Plans:
     where its task starts.
 
     Raises:
-        ScenarioError: there is no such method.
+        ScenarioError: a method is not installed or can't be imported.
         MissingExtraError: the one asked for, or the scenario's own, needs what is not installed.
         ManipleError: a method failed, or gave no assignment.
     """
     own = scenario.planning.method
-    planners = METHODS
-    chosen(planners, own, METHOD)
-    names = [method] if method is not None else sorted(planners, key=list(METHODS).index)
+    names = [one.name for one in installed() if one.kind == "planner"] if method is None else [method]
     given = np.asarray(scenario.formation.points)
     own_places = given[list(relabel(given))] if scenario.planning.relabel else given
     pose = start_pose(scenario.task)
@@ -99,7 +98,8 @@ def plans_of(scenario: Scenario, method: str | None = None) -> Plans:
     assignments, unavailable = [], {}
     for name in names:
         try:
-            assignments.append(_assignment(scenario, name, chosen(planners, name, METHOD), positions, places))
+            planner = implementation("planner", name, METHOD)
+            assignments.append(_assignment(scenario, name, planner, positions, places))
         except MissingExtraError as error:
             if name in (method, own):
                 raise

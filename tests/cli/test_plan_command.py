@@ -92,7 +92,9 @@ def test_the_table() -> None:
 
 
 def test_an_unknown_method_is_refused() -> None:
-    with pytest.raises(ScenarioError, match=r"planning.method = 'best': not installed; there are final-"):
+    with pytest.raises(
+        ScenarioError, match=r"planning.method = 'best': no such planner is installed; there are final-"
+    ):
         plans_of(load(PAPER), "best")
 
 
