@@ -49,13 +49,14 @@ class Installed(NamedTuple):
 
 
 def installed() -> list[Installed]:
-    """All that there is, built-in first; nothing is imported."""
+    """All that there is, built-in first; nothing is imported. Whoever takes the name of a built-in one is not
+    there: scenarios mean the built-in one."""
     found = []
     for kind in KINDS:
         found += [Installed(kind, name, "maniple", "") for name in PLACES[kind].builtin if name]
-        for point in sorted(_points(kind), key=lambda point: point.name):
-            package = f"{point.dist.name} {point.dist.version}" if point.dist else "?"
-            found.append(Installed(kind, point.name, package, point.value))
+        others = [point for point in _points(kind) if point.name not in PLACES[kind].builtin]
+        for point in sorted(others, key=lambda point: point.name):
+            found.append(Installed(kind, point.name, _package(point), point.value))
     return found
 
 
@@ -101,18 +102,16 @@ def implementation(kind: Kind, name: str, path: str) -> Any:
         ScenarioError: as for `parts_of`.
     """
     builtin = PLACES[kind].builtin
-    points = [point for point in _points(kind) if point.name == name]
-    if name in builtin and not points:
+    if name in builtin:
         return builtin[name]
+    points = [point for point in _points(kind) if point.name == name]
     if not points:
         known = sorted({name for name in builtin if name} | {point.name for point in _points(kind)})
         names = ", ".join(known) or "none"
         raise ScenarioError(f"{path} = {name!r}: no such {kind} is installed; there are {names}")
-    if len(points) > 1 or name in builtin:
-        owners = ["maniple"] * (name in builtin) + [
-            point.dist.name if point.dist else "?" for point in points
-        ]
-        raise ScenarioError(f"{path} = {name!r}: installed more than once, by {', '.join(sorted(owners))}")
+    if len(points) > 1:
+        owners = sorted(_package(point) for point in points)
+        raise ScenarioError(f"{path} = {name!r}: installed more than once, by {', '.join(owners)}")
     try:
         return points[0].load()
     except Exception as error:
@@ -127,6 +126,11 @@ def _named(kind: Kind, used: Iterable[tuple[str, str]]) -> Mapping[str, Any]:
         **PLACES[kind].builtin,
         **{name: implementation(kind, name, path) for path, name in used if name},
     }
+
+
+def _package(point: EntryPoint) -> str:
+    """What brings an entry point, with its version."""
+    return f"{point.dist.name} {point.dist.version}" if point.dist else "an unnamed package"
 
 
 def _points(kind: Kind) -> Iterable[EntryPoint]:

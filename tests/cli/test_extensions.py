@@ -14,6 +14,7 @@ import maniple
 from maniple.cli.extensions import installed, parts_of, require_layers
 from maniple.cli.loading import load
 from maniple.cli.program import app
+from maniple.control.avoidance import Impedances
 from maniple.core.errors import ScenarioError
 from maniple.core.messages import FormationState, Status
 from maniple.core.scenario.types import Avoidance, Compensation, Scenario
@@ -103,6 +104,7 @@ clock = "users_layers:Clock"
 impedance = "users_layers:Clock"
 missing = "users_layers:Missing"
 moody = "users_layers:Moody"
+twice = "users_layers:Moody"
 [project.entry-points."maniple.formation_laws"]
 no-number = "users_layers:Nan"
 half = "users_layers:Half"
@@ -113,6 +115,14 @@ all-first = "users_layers:all_first"
 none = "users_layers:Through"
 [project.entry-points."maniple.kinematics"]
 mine = "users_layers:Mine"
+"""
+
+OTHERS = """
+[project]
+name = "others"
+version = "0.2"
+[project.entry-points."maniple.avoidance"]
+twice = "users_layers:Clock"
 """
 
 LAYERS = """
@@ -176,6 +186,7 @@ robots = [{ id = "r1" }, { id = "r2" }, { id = "r3" }]
 @pytest.fixture
 def users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     install(tmp_path, monkeypatch, USERS, users_layers=LAYERS)
+    install(tmp_path, monkeypatch, OTHERS)
     return write(tmp_path, SCENE)
 
 
@@ -253,9 +264,12 @@ def test_a_layer_that_reads_a_clock_is_found_out(users: Path) -> None:
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("avoidance.law=fast", "no such avoidance is installed; there are clock, impedance, missing, moody"),
+        (
+            "avoidance.law=fast",
+            "no such avoidance is installed; there are clock, impedance, missing, moody, twice",
+        ),
         ("avoidance.law=missing", "users_layers:Missing can't be imported: AttributeError"),
-        ("avoidance.law=impedance", "installed more than once, by maniple, users"),
+        ("avoidance.law=twice", "installed more than once, by others 0.2, users 0.1"),
         ("controller.law=best", "no such formation-law is installed; there are half, no-number, paper"),
         ("planning.method=best", "no such planner is installed; there are all-first, final-reorganization"),
         ("avoidance.options.x=1", "avoidance: the law refuses its parameters: ValueError: options x"),
@@ -270,6 +284,11 @@ def test_what_is_not_there_is_refused_with_what_is(users: Path, override: str, m
     with pytest.raises(ScenarioError) as caught:
         require_layers(load(users, [override]))
     assert message in str(caught.value)
+
+
+def test_the_name_of_a_built_in_layer_is_taken(users: Path) -> None:
+    assert parts_of(load(users)).avoidance["impedance"] is Impedances
+    assert [one.package for one in installed() if one.name == "impedance"] == ["maniple"]
 
 
 def test_an_agent_needs_no_formation_law(users: Path) -> None:
