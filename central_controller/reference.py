@@ -1,7 +1,6 @@
 """The task as a reference: where the formation's frame is to be at each moment, and how fast it moves."""
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -110,23 +109,3 @@ def _decay_s(error: float, tolerance: float, kappa: float, saturation: float) ->
 def _log_sinh(x: float) -> float:
     """log(sinh x) for x > 0, where sinh overflows too."""
     return x + math.log(-math.expm1(-2.0 * x)) - math.log(2.0)
-
-
-@lru_cache(maxsize=16)
-def _course(task: Task) -> Course:
-    return Course(task)
-
-
-def duration_s(task: Task) -> float:
-    """How long the task takes."""
-    return _course(task).total_s
-
-
-def reference(task: Task, t_s: float) -> Reference:
-    """The reference at task time `t_s`, counted over all legs."""
-    course = _course(task)
-    leg = 0
-    while leg < course.legs - 1 and t_s >= course.duration_s(leg):
-        t_s -= course.duration_s(leg)
-        leg += 1
-    return course.at(leg, t_s)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from central_controller.node import CentralController
-from central_controller.reference import duration_s
+from central_controller.reference import Course
 from maniple.cli.extensions import parts_of
 from maniple.core.node import Node
 from maniple.core.scenario.types import Scenario
@@ -36,4 +36,4 @@ def time_limit_s(scenario: Scenario, duration_s_asked: float | None) -> float:
     """When a run is ended that has not ended by itself, in simulated time."""
     if duration_s_asked is not None:
         return duration_s_asked
-    return 3.0 * duration_s(scenario.task) + 60.0
+    return 3.0 * Course(scenario.task, scenario.controller).total_s + 60.0

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from maniple.core.errors import ScenarioError
 from maniple.core.geometry import Pose, wrap
-from maniple.core.scenario.parse import scenario_of, type_problems
+from maniple.core.scenario.parse import type_problems
 from maniple.core.scenario.places import start_pose
 from maniple.core.scenario.shapes import pointed
 from maniple.core.scenario.types import (
@@ -41,7 +41,9 @@ def resolve(
     """
     if found := type_problems(scenario):
         raise ScenarioError("\n".join(found))
-    scenario = scenario_of(msgspec.to_builtins(scenario))  # lists that were given for tuples, and the like
+    scenario = msgspec.convert(
+        msgspec.to_builtins(scenario), Scenario
+    )  # lists given for tuples, and the like
     scenario = replace(scenario, formation=pointed(scenario.formation, len(scenario.robots)))
     if any(robot.pose is None for robot in scenario.robots):
         require_points(scenario)

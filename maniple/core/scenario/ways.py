@@ -316,12 +316,9 @@ def _monotone_slopes(steps: Floats, chords: Floats) -> Floats:
     weight1, weight2 = 2.0 * after + before, after + 2.0 * before
     slopes = np.zeros((len(steps) + 1, chords.shape[1]))
     same = first * second > 0.0
-    np.divide(
-        weight1 + weight2,
-        weight1 / np.where(same, first, 1.0) + weight2 / np.where(same, second, 1.0),
-        out=slopes[1:-1],
-        where=same,
-    )
+    with np.errstate(over="ignore"):  # next to a slope that is almost 0
+        means = weight1 / np.where(same, first, 1.0) + weight2 / np.where(same, second, 1.0)
+    np.divide(weight1 + weight2, means, out=slopes[1:-1], where=same)
     slopes[0] = _end_slope(steps[0], steps[1], chords[0], chords[1])
     slopes[-1] = _end_slope(steps[-1], steps[-2], chords[-1], chords[-2])
     return slopes

@@ -225,6 +225,20 @@ def test_samples_are_joined_as_scipy_does(gaps: list[float], xs: list[float], sh
     assert velocity == pytest.approx((slope, -2 * slope, 0), abs=1e-6, rel=1e-6)
 
 
+def test_a_slope_that_is_almost_nothing_is_nothing() -> None:
+    way = way_of(Samples(times_s=(0, 1, 2), poses=((0, 0, 1.0), (0, 0, 1e-309), (0, 0, 0))))
+    assert way.at(1.0)[1] == (0, 0, 0)
+
+
+def test_ways_are_as_long_as_their_chords() -> None:
+    way = way_of(Samples(times_s=(0, 1, 3), poses=((0, 0, 0), (3, 4, 1), (3, 9, 1))))
+    poses = [way.at(t)[0] for t in np.linspace(0, 3, 3001)]
+    assert way.length_m == pytest.approx(sum(math.dist(a[:2], b[:2]) for a, b in pairwise(poses)), rel=1e-3)
+    circle = way_of(Orbit(centre=(0, 0), radius_m=2, speed_mps=0.5, turns=1.5))
+    assert circle.length_m == pytest.approx(6 * math.pi)
+    assert way_of(Positioning(target=(1, 2, 3))).length_m == 0.0
+
+
 def test_headings_take_the_shorter_way() -> None:
     way = way_of(Samples(times_s=(0, 1, 2), poses=((0, 0, 3.0), (1, 0, -3.0), (2, 0, -2.9))))
     turns = [way.at(t)[1][2] for t in (0.1, 0.5, 0.9)]
