@@ -29,23 +29,24 @@ class Encoders:
     """
 
     def __init__(
-        self, models: Sequence[RobotModel], heading: Floats, seed: int = 0, robots: Sequence[str] = ()
+        self, models: Sequence[RobotModel], heading: Floats, seed: int, robots: Sequence[str]
     ) -> None:
         ways = [wheel_ways(m, m.track_m * (1.0 + m.track_error)) for m in models]
-        self._counts = [len(rows) for rows in ways]
-        self._robot = np.repeat(np.arange(len(models)), self._counts)
+        counts = [len(rows) for rows in ways]
+        ends = np.cumsum(counts).tolist()
+        self._spans = [(end - count, end) for end, count in zip(ends, counts, strict=True)]
+        self._robot = np.repeat(np.arange(len(models)), counts)
         self._ahead, self._turn, self._left = np.concatenate(ways).T
         self._per_metre = np.concatenate(
             [_ticks_per_metre(m, len(w)) for m, w in zip(models, ways, strict=True)]
         )
         self._sideways = bool(self._left.any())
-        self._heading = heading[self._robot]
-        starts = np.cumsum([0, *self._counts])
+        self._heading = heading.copy()
         self._slips = [
-            (int(start) + side, Slip(model, seed, f"slip/{robot}/{side}"))
-            for start, model, robot in zip(starts, models, robots, strict=False)
+            (wheel, Slip(model, seed, f"slip/{robot}/{wheel - start}"))
+            for model, robot, (start, end) in zip(models, robots, self._spans, strict=True)
             if model.slip_sigma > 0.0
-            for side in range(len(wheel_ways(model, model.track_m)))
+            for wheel in range(start, end)
         ]
         self._slipped = np.zeros(len(self._robot))
 
@@ -62,17 +63,15 @@ class Encoders:
     def ticks(self, travel: Floats) -> list[tuple[int, ...]]:
         """Counts of each robot's wheels after `travel`: way ahead (m), unwrapped heading (rad) and, where
         some robot can, way to the left (m), shape (2 or 3, n)."""
-        wheels = travel[1][self._robot]
-        wheels -= self._heading
-        wheels *= self._turn
+        wheels = self._turn * (travel[1] - self._heading)[self._robot]
         wheels += self._ahead * travel[0][self._robot]
         if self._sideways:
             wheels += self._left * travel[2][self._robot]
         if self._slips:
             wheels += self._slipped
         wheels *= self._per_metre
-        counts = iter(np.floor(wheels).astype(np.int64).tolist())
-        return [tuple(next(counts) for _ in range(count)) for count in self._counts]
+        counts = np.floor(wheels).astype(np.int64).tolist()
+        return [tuple(counts[start:end]) for start, end in self._spans]
 
 
 class Slip:

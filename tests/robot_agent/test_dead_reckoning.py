@@ -106,7 +106,7 @@ def test_from_motion_through_encoders_back_to_motion(kind: str) -> None:
     }
     model = replace(PIONEER, drive=kind, **extra[kind])
     random, wheels = stream(3, kind), wheels_of(model)
-    encoders = Encoders([model], np.array([0.4]))
+    encoders = Encoders([model], np.array([0.4]), 1, ["r1"])
     rows = 3 if kind == "omnidirectional" else 2
     travel, position = np.zeros((rows, 1)), np.array([1.0 + 2.0j])
     travel[1] = 0.4

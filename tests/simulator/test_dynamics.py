@@ -106,3 +106,34 @@ def test_steady_velocities_make_an_exact_arc(u: float, w: float, psi: float, ste
 def test_theta_of_a_drive_that_would_run_away_is_refused() -> None:
     with pytest.raises(ScenarioError, match="th4"):
         VelocityDynamics([SICK, (0.3, 0.2, 0.0, -1.0, 0.0, 1.0)], 0.01)
+
+
+@settings(deadline=None, derandomize=True, max_examples=30)
+@given(st.floats(-0.7, 0.7), st.floats(-1.7, 1.7), st.floats(-0.7, 0.7))
+def test_sideways_motion_agrees_with_an_independent_solver(u_ref: float, w_ref: float, v_ref: float) -> None:
+    th1, th2, th3, th4, th5, th6 = SICK
+
+    def slope(_: float, z: Floats) -> list[float]:
+        u, w, v, psi, _, _ = z
+        return [
+            (th3 * w * w - th4 * u + u_ref) / th1,
+            (-th5 * u * w - th6 * w + w_ref) / th2,
+            (-th4 * v + v_ref) / th1,
+            w,
+            u * math.cos(psi) - v * math.sin(psi),
+            u * math.sin(psi) + v * math.cos(psi),
+        ]
+
+    start = [0.2, -0.5, 0.1]
+    solution = solve_ivp(slope, (0.0, 2.0), [*start, 0, 0, 0], method="DOP853", rtol=1e-11, atol=1e-12)
+    dynamics = VelocityDynamics([SICK], 0.01, sideways=True)
+    velocities = np.empty((201, 3, 1))
+    velocities[0, :, 0] = start
+    drive = dynamics.input_gain * np.array([[u_ref], [w_ref], [v_ref]])
+    for k in range(200):
+        dynamics.step(velocities[k], drive, velocities[k + 1])
+    _, travels, positions = integrate(velocities, np.zeros((3, 1)), np.zeros(1, dtype=complex), 0.01)
+    u, w, v, psi, x, y = solution.y[:, -1]
+    assert velocities[-1, :, 0] == pytest.approx([u, w, v], abs=2e-6)
+    assert travels[-1, 1, 0] == pytest.approx(psi, abs=2e-4)
+    assert positions[-1, 0] == pytest.approx(complex(x, y), abs=2e-4)

@@ -5,11 +5,14 @@ import msgspec
 import numpy as np
 import pytest
 
+from maniple.cli.loading import range_finders
+from maniple.control.returns import returns_of
 from maniple.core import codec, topics
 from maniple.core.messages import Drive, Motion, Scan, Truth, unpack_floats
 from maniple.core.node import Node, Outgoing, Received
 from maniple.core.scenario.types import Circle, RangeFinder, Rates, Scenario
 from simulator.node import Simulator
+from tests.pioneer import PIONEER
 
 MS = 1_000_000
 T0 = 10**18
@@ -119,3 +122,49 @@ def test_a_foreign_kind_of_message_is_ignored(make_scenario: MakeScenario) -> No
     simulator.on_start(T0)
     odd = Motion(ticks=(1, 2), applied=(0.0, 0.0), state="active", controllable=True)
     assert list(simulator.on_message(Received("hw/r1/drive", odd), T0)) == []
+
+
+def test_an_array_of_sonars_says_where_its_cones_are_and_sees_what_is_in_them(
+    make_scenario: MakeScenario,
+) -> None:
+    ring = range_finders()["pioneer-3dx-sonar"]
+    quiet = msgspec.structs.replace(ring, sigma_m=0.0)
+    ahead = Circle(centre=(1.5, 0.1), radius_m=0.2)
+    scenario = make_scenario([(0.0, 0.0, 0.0), (0.0, 3.0, 0.0), (0.0, -3.0, 0.0)], [ahead])
+    robots = tuple(msgspec.structs.replace(robot, sensor="sonar") for robot in scenario.robots)
+    scenario = msgspec.structs.replace(scenario, robots=robots, sensors={"sonar": quiet})
+    simulator = Simulator(scenario)
+    simulator.on_start(T0)
+    scan, other, _ = (o.message for o in simulator.on_timer("scan", T0 + 5 * MS))
+    assert isinstance(scan, Scan)
+    assert isinstance(other, Scan)
+    assert scan.mount == (0.0, 0.0, 0.0)
+    assert scan.cone_rad == ring.cone_rad
+    assert unpack_floats(scan.beams, 3) == pytest.approx(np.array(ring.transducers), abs=1e-6)
+    ranges = unpack_floats(scan.ranges)
+    x, y, _ = ring.transducers[4]
+    assert ranges[4] == pytest.approx(math.hypot(1.5 - x, 0.1 - y) - 0.2, abs=2e-3)
+    assert (ranges[[0, 1, 6, 7]] > 2.0).all()
+    sides = 3.0 - 0.136 - 0.2125  # to the sides of its neighbours
+    assert ranges[[0, 7]] == pytest.approx(sides, abs=2e-3)
+    assert unpack_floats(other.ranges)[0] == pytest.approx(sides, abs=2e-3)
+    assert returns_of(scan).sees_ahead
+
+
+def test_truth_has_sideways_speeds_where_some_robot_can(make_scenario: MakeScenario) -> None:
+    scenario = make_scenario(POSES)
+    models = {"pioneer": msgspec.structs.replace(PIONEER, drive="omnidirectional", v_max_mps=0.5)}
+    scenario = msgspec.structs.replace(scenario, models=models)
+    simulator = Simulator(scenario)
+    simulator.on_start(T0)
+    for t in range(0, 1000, 50):
+        order = Drive(u_mps=0.0, w_radps=0.0, v_mps=0.2, active=True)
+        simulator.on_message(Received("hw/r1/drive", order), T0 + t * MS)
+        motion = simulator.on_timer("motion", T0 + (t + 20) * MS)[0].message
+    assert isinstance(motion, Motion)
+    assert (len(motion.ticks), motion.applied, motion.applied_v_mps) == (3, (0.0, 0.0), 0.2)
+    truth = simulator.on_timer("truth", T0 + 1000 * MS)[0].message
+    assert isinstance(truth, Truth)
+    v = 0.2 / 0.9965 * (1 - math.exp(-0.99 * 0.9965 / 0.2604))
+    assert unpack_floats(truth.sideways) == pytest.approx([v, 0.0, 0.0], abs=1e-3)
+    assert unpack_floats(truth.poses, 3)[0, 1] > 0.1

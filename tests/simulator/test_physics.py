@@ -4,11 +4,13 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from maniple.core.geometry import Pose
 from maniple.core.messages import Drive
-from maniple.core.scenario.types import Box, Circle, Rates, Scenario, Wall
+from maniple.core.scenario.types import Box, Circle, Rates, RobotModel, Scenario, Wall
 from simulator.physics import Physics
+from tests.pioneer import PIONEER
 
 MS = 1_000_000
 T0 = 1_234_567_890_123_456_789
@@ -200,3 +202,80 @@ def test_slow_physics_still_stops_at_contact(make_scenario: MakeScenario) -> Non
     drive(physics, 0.7, 0.0, 0, 5000)
     assert physics.contacts()[1:] == (1, ("r1|obstacle 0",))
     assert 0.8 < physics.poses()[0, 0] < 1.3 - 0.2555
+
+
+ROUND = replace(PIONEER, drive="omnidirectional", v_max_mps=0.5)
+CAR = replace(PIONEER, drive="car", wheelbase_m=0.5, steer_max_rad=0.4, body_offset_m=0.2)
+
+
+def of_kind(scenario: Scenario, *kinds: RobotModel) -> Scenario:
+    models = {f"kind{k}": kind for k, kind in enumerate(kinds)}
+    robots = tuple(replace(robot, model=name) for robot, name in zip(scenario.robots, models, strict=True))
+    return replace(scenario, robots=robots, models=models)
+
+
+def test_a_robot_that_can_drives_sideways_and_the_others_as_before(make_scenario: MakeScenario) -> None:
+    poses = [(0.0, 0.0, 0.5), (0.0, 3.0, 0.5)]
+    plain = started(make_scenario(poses))
+    mixed = started(of_kind(make_scenario(poses), PIONEER, ROUND))
+    for t in range(0, 5000, 50):
+        for physics in (plain, mixed):
+            for robot in range(2):
+                told = Drive(u_mps=0.2, w_radps=0.1, v_mps=0.3, active=True)
+                physics.command(robot, told, T0 + t * MS)
+            physics.advance(T0 + (t + 50) * MS)
+    assert mixed.poses()[0] == pytest.approx(plain.poses()[0], abs=1e-12)
+    assert plain.sideways() is None
+    sideways = mixed.sideways()
+    assert sideways is not None
+    assert sideways == pytest.approx([0.0, 0.3 / 0.9965], abs=1e-3)
+    assert [len(ticks) for ticks in mixed.ticks()] == [2, 3]
+    assert mixed.drives()[1] == ((0.2, 0.1, 0.3), "active")
+    before = Pose(*mixed.poses()[1])
+    u, w = mixed.velocities()[1]
+    mixed.advance(T0 + 5050 * MS)
+    after = before.advance(0.05 * u, 0.05 * w, 0.05 * sideways[1])
+    assert tuple(mixed.poses()[1]) == pytest.approx(tuple(after), abs=1e-5)
+    mixed.advance(T0 + 9000 * MS)
+    left = mixed.sideways()
+    assert left is not None
+    assert (left == 0.0).all()
+
+
+def test_a_car_does_not_turn_on_the_spot_nor_tighter_than_it_can(make_scenario: MakeScenario) -> None:
+    physics = started(of_kind(make_scenario([(0.0, 0.0, 0.0)]), CAR))
+    drive(physics, 0.0, 1.0, 0, 1000)
+    assert physics.poses()[0].tolist() == [0.0, 0.0, 0.0]
+    drive(physics, 0.3, 1.5, 1000, 9000)
+    u, w = physics.velocities()[0]
+    assert w / u == pytest.approx(math.tan(0.4) / 0.5, rel=0.08)  # its drive turns a little less than told
+    assert w / u <= math.tan(0.4) / 0.5 + 1e-9
+    for t in range(9000, 10_500, 10):  # and brakes along its arc
+        physics.advance(T0 + t * MS)
+        u, w = physics.velocities()[0]
+        assert abs(w) <= math.tan(0.4) / 0.5 * abs(u) + 1e-9
+
+
+def test_the_body_of_a_car_is_ahead_of_its_axle(make_scenario: MakeScenario) -> None:
+    wall = Wall(start=(1.3, -1.0), end=(1.3, 1.0))
+    physics = started(of_kind(make_scenario([(0.0, 0.0, 0.0)], [wall]), CAR))
+    drive(physics, 0.5, 0.0, 0, 5000)
+    assert physics.contacts()[1] == 1
+    assert physics.poses()[0, 0] == pytest.approx(1.3 - 0.2555 - 0.2, abs=0.01)
+    assert physics.centres()[0].real - physics.poses()[0, 0] == pytest.approx(0.2)
+    turned = started(of_kind(make_scenario([(0.0, 0.0, math.pi / 2)], [wall]), CAR))
+    assert turned.contacts()[0][0] == pytest.approx(1.3 - 0.2125)
+
+
+def test_slip_changes_what_encoders_count_and_not_the_motion(make_scenario: MakeScenario) -> None:
+    slippery = replace(PIONEER, slip_sigma=0.1)
+    runs = [
+        started(of_kind(make_scenario([(0.0, 0.0, 0.0)]), kind)) for kind in (PIONEER, slippery, slippery)
+    ]
+    for physics in runs:
+        drive(physics, 0.4, 0.2, 0, 4000)
+    sound, first, second = runs
+    assert (first.poses() == sound.poses()).all()
+    assert first.ticks() == second.ticks() != sound.ticks()
+    wheels = np.array(first.ticks()) / np.array(sound.ticks())
+    assert wheels == pytest.approx(1.0, abs=0.1)

@@ -8,7 +8,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from maniple.core.geometry import Floats
+from maniple.core.scenario import outline
 from maniple.core.scenario.types import Box, Circle, Obstacle, Polygon, RangeFinder, Wall
+from maniple.core.streams import stream
+from simulator.node import cone_of
 from simulator.range_finder import Fan, sweep
 from simulator.world import Complexes, Scene, corners_of, rectangle
 
@@ -190,3 +193,30 @@ def test_shapes_move_and_turn_with_the_world() -> None:
     scene.place(turn * POSITIONS + shift, HEADINGS + 0.7)
     after = sweep(Fan(kind), turn * POSITIONS + shift, HEADINGS + 0.7, np.arange(3), scene)
     assert after == pytest.approx(before, abs=1e-9)
+
+
+@settings(deadline=None, derandomize=True, max_examples=60)
+@given(st.floats(-3.0, 3.0), st.floats(0.05, 1.0), st.integers(0, 10**6))
+def test_a_cone_reads_the_nearest_point_within_it(heading: float, cone: float, seed: int) -> None:
+    """Against the distance from its tip to what of the obstacle lies in the sector, by shapely."""
+    random = stream(seed, "cone")
+    kind = RangeFinder(transducers=((0.0, 0.0, 0.0),), cone_rad=cone, range_max_m=5.0)
+    x, y = random.uniform(-3.0, 3.0, 2).tolist()
+    if math.hypot(x, y) < 1.0:
+        return
+    length, width = random.uniform(0.2, 0.8, 2).tolist()
+    box = Box(centre=(x, y), size=(length, width), angle_rad=float(random.uniform(-3, 3)))
+    scene = Scene([box], np.array([], dtype=complex))
+    fan = Fan(cone_of(kind))
+    ranges = sweep(fan, np.array([0j]), np.array([heading]), np.array([-1]), scene)
+    edge = [heading - 0.5 * cone + cone * k / 200 for k in range(201)]
+    sector = shapely.Polygon([(0, 0), *((9 * math.cos(a), 9 * math.sin(a)) for a in edge)])
+    part = shapely.Polygon(outline.corners_of(box)).intersection(sector)
+    reading = float(ranges.min())
+    if part.is_empty:
+        assert reading == 5.0
+    else:
+        exact = part.distance(shapely.Point(0, 0))
+        assert exact - 1e-3 <= reading
+        if reading < 5.0:  # rays a degree apart may miss the tip of a corner, or come in half a degree later
+            assert reading <= exact * (1 + 1e-3) + math.radians(1.0) * exact
