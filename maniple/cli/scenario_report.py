@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import msgspec
 from rich.console import Group, RenderableType
@@ -35,6 +36,10 @@ from maniple.core.scenario.types import (
     Waypoints,
 )
 from maniple.core.scenario.ways import way_of
+
+
+GAP_M = 0.01
+"""Parts of a task that are farther apart than this are told."""
 
 
 class RobotPlan(msgspec.Struct, frozen=True):
@@ -222,6 +227,10 @@ def _task_text(plan: Plan) -> str:
 
 def _notes(scenario: Scenario) -> Iterator[str]:
     planning, waiting = scenario.planning, scenario.waiting
+    for index, (before, after) in enumerate(pairwise(legs_of(scenario.task))):
+        gap = math.dist(end_pose(before)[:2], start_pose(after)[:2])
+        if gap > GAP_M and not isinstance(after, Positioning):
+            yield f"task {index + 1} starts {gap:.3g} m from where task {index} ends"
     if planning.method != "given":
         yield f"who takes which place: {planning.method}"
     if planning.relabel:

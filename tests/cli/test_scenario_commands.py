@@ -147,6 +147,8 @@ def test_check_says_what_is_not_as_by_default() -> None:
         "crashes=[{node='r4', at_s=30, restart_after_s=20}, {node='r5', at_s=40}]",
     )
     assert checked()["notes"] == []
+    far = TASKS["sequence"].replace("target=[2,0,0]", "target=[0,2,0]")
+    assert checked("--set", f"task={far}")["notes"] == ["task 1 starts 2 m from where task 0 ends"]
     assert checked(*(word for change in changes for word in ("--set", change)))["notes"] == [
         "who takes which place: optimal",
         "places are numbered anew",
