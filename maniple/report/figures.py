@@ -101,4 +101,5 @@ def write(figure: Figure, stem: Path) -> tuple[Path, Path]:
     paths = stem.with_name(f"{stem.name}.png"), stem.with_name(f"{stem.name}.svg")
     for path in paths:
         style.save(figure, path)
+        figure.set_layout_engine("none")  # laid out once is enough
     return paths

@@ -120,9 +120,8 @@ def legend(figure: Figure, rows: Sequence[Artist], columns: int) -> None:
 def _fits(rows: Sequence[Artist], columns: int) -> bool:
     """Whether a legend of so many columns is no wider than the figure, by its letters."""
     em_in = LOOK["legend.fontsize"] / 72
-    parts = np.array_split(
-        [len(str(one.get_label()).replace("$", "").replace("\\", "")) for one in rows], columns
-    )
+    texts = [str(one.get_label()) for one in rows]
+    parts = np.array_split([3 if "$" in text else len(text) for text in texts], columns)
     letters = sum(max(part, default=0) for part in map(list, parts))
     return bool(em_in * (0.58 * letters + columns * HANDLE_EM - 1.2) < WIDTH_IN)
 

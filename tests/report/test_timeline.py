@@ -1,0 +1,77 @@
+from maniple.core.messages import FormationState, Goal, RobotReport
+from maniple.core.scenario.types import Formation, Line
+from maniple.core.time import SECOND
+from maniple.report.timeline import Span, events_of, spans_of
+
+
+def spans(*said: tuple[float, str], end: float = 10.0, silent: float = 3.0) -> list[Span]:
+    rows = [(round(t * SECOND), what) for t, what in said]
+    return list(spans_of(rows, 0, end, silent))
+
+
+def test_what_is_said_again_goes_on() -> None:
+    assert spans((0, "a"), (1, "a"), (2, "b"), (3, "b"), end=4) == [(0, 2, "a"), (2, 4, "b")]
+
+
+def test_silence_ends_a_span() -> None:
+    assert spans((0, "a"), (1, "a"), (8, "a"), end=9) == [(0, 4, "a"), (8, 9, "a")]
+    assert spans((0, "a"), end=10) == [(0, 3, "a")]
+
+
+def test_nothing_said_is_no_span() -> None:
+    assert spans((0, ""), (1, "a"), (2, ""), (3, "")) == [(1, 2, "a")]
+    assert spans() == []
+
+
+def state(t_s: float, **changes: object) -> FormationState:
+    values = {
+        "stamp_ns": round(t_s * SECOND),
+        "incarnation": 1,
+        "phase": "running",
+        "task_time_s": 0.0,
+        "task_duration_s": 1.0,
+        "reference": (0.0, 0.0, 0.0),
+        "reference_velocity": (0.0, 0.0, 0.0),
+        "chain": ("r1", "r2", "r3"),
+        "errors": b"",
+        "roster": (),
+    }
+    return FormationState(**(values | changes))  # type: ignore[arg-type]
+
+
+def test_changes_are_events() -> None:
+    there, gone = RobotReport("r4", "present", 0.0, "tracking"), RobotReport("r4", "lost", 9.0, "")
+    states = [
+        state(0, phase="waiting", roster=(RobotReport("r4", "absent", -1.0, ""),)),
+        state(1, roster=(there,)),
+        state(2, roster=(there,)),
+        state(3, roster=(gone,), chain=("r1", "r3", "r2")),
+        state(4, roster=(gone,), phase="holding", reason="told to", chain=("r1", "r3", "r2")),
+        state(5, phase="holding", reason="too few", chain=(), incarnation=2),
+        state(6, incarnation=2, goal="x", goal_refused="too fast", leg=1, supervisor=("opens r1 r2 r3",)),
+        state(7, incarnation=2, goal="y", leg=1, supervisor=("opens r1 r2 r3",)),
+    ]
+    goals = [
+        Goal(id="x", stamp_ns=round(5.5 * SECOND), hold=False, formation=Formation()),
+        Goal(id="y", stamp_ns=round(6.5 * SECOND), task=Line(start=(0, 0), end=(1, 0), speed_mps=0.1)),
+    ]
+    events = events_of(states, goals, [(2.5, "r1|obstacle 0")], 0)
+    assert [(event.t, event.what) for event in events] == [
+        (0.0, "waiting"),
+        (1.0, "running"),
+        (2.5, "contact: r1 and obstacle 0"),
+        (3.0, "chain r1 r3 r2"),
+        (3.0, "r4 lost"),
+        (4.0, "holding: told to"),
+        (5.0, "too few"),
+        (5.0, "the controller lives anew"),
+        (5.0, "chain of nobody"),
+        (5.5, "goal: another shape, resume"),
+        (6.0, "running"),
+        (6.0, "part 2 of the task"),
+        (6.0, "chain r1 r2 r3"),
+        (6.0, "goal refused: too fast"),
+        (6.0, "supervisor: opens r1 r2 r3"),
+        (6.5, "goal: task line"),
+        (7.0, "goal accepted"),
+    ]
