@@ -22,7 +22,9 @@ from benchmarks.evidence.platoons import (
 )
 from central_controller import formation
 from central_controller.chain import Desired
+from central_controller.supervisor import Supervisor
 from maniple.core.geometry import Floats, Pose, wrap_array
+from maniple.core.scenario import types
 from maniple.core.streams import stream
 
 CHUNK = 125
@@ -36,6 +38,8 @@ RISE = 1e-9
 FINE_DT_S = 1e-3
 """Step in which those starts are repeated whose first V rose."""
 FINE_S = 30.0
+PASS_S = 120.0
+"""For how long they are repeated with the supervisor."""
 
 SPEEDS_MPS, RADIUS_M = (0.2, 0.4), 2.0
 """Of the reference in the study of the bound, which goes round a circle and does not turn, so that the robots
@@ -106,6 +110,17 @@ class Spread(NamedTuple):
     neighbours: Floats
 
 
+class Trip(NamedTuple):
+    """The first three robots on their way into formation."""
+
+    nearest_m: float
+    """The smallest side or median of their triangle on the way."""
+    fastest_mps: float
+    """The fastest velocity that any of their control points was told."""
+    time_s: float
+    """When they were at their places for good; the horizon if they were not."""
+
+
 class Extent(NamedTuple):
     """How much is computed."""
 
@@ -126,9 +141,10 @@ class Study(NamedTuple):
     outcomes: dict[Case, Outcome]
     scattered: dict[Case, Outcome]
     """Starts near the places, of the largest platoon."""
-    refined: dict[int, tuple[int, int]]
-    """By n: how many starts the first V rose in at the control period, and in how many of these it did in
-    steps of FINE_DT_S too."""
+    refined: dict[int, int]
+    """By n: in how many of the starts in which the first V rose it did so in steps of FINE_DT_S too."""
+    passes: dict[int, list[tuple[Trip, Trip]]]
+    """By n: the same starts, under the law alone and with the supervisor."""
     bounds: dict[Circle, Bound]
     spread: Spread
 
@@ -280,6 +296,22 @@ def _pushed(case: Case, robot: int, push_m: float) -> Floats:
     return farthest
 
 
+def trip(case: Case, start: int, supervised: bool, horizon_s: float = PASS_S) -> Trip:
+    """One start of ideal points, with the supervisor of the controller after the law or without."""
+    platoons = Platoons(case, starts(case, start + 1)[start:], headings(case, start + 1)[start:])
+    supervisor = Supervisor(types.Supervisor(enabled=supervised), case.signed)
+    nearest, fastest, time_s = math.inf, 0.0, 0.0
+    for step in range(1, round(horizon_s / DT_S) + 1):
+        nearest = min(nearest, float(_smallest(platoons.positions[:, :3])[0]))
+        if platoons.distances()[0, :3].max() >= TOLERANCE_M:
+            time_s = step * DT_S
+        velocities = platoons.told(platoons.desired()).velocities[0]
+        velocities = supervisor.step(platoons.positions[0], platoons.places, velocities).velocities
+        fastest = max(fastest, float(np.hypot(*velocities[:3].T).max()))
+        platoons.positions = platoons.positions + DT_S * velocities
+    return Trip(nearest, fastest, time_s)
+
+
 class _Job(NamedTuple):
     what: Case | Circle
     first: int
@@ -307,11 +339,13 @@ def study(extent: Extent, workers: int = 2) -> Study:
         else:
             outcomes.setdefault(Case(*job.what), []).append(part)
     joined = {case: _joined(outcomes[case]) for case in (*cases, *scattered)}
+    risen = {n: (joined[Case(n)].rise[:, 0] > RISE).nonzero()[0].tolist() for n in extent.sizes}
     return Study(
         extent,
         {case: joined[case] for case in cases},
         {case: joined[case] for case in scattered},
-        {n: _refined(Case(n), joined[Case(n)]) for n in extent.sizes},
+        {n: sum(rises_in_fine_steps(Case(n), start) for start in risen[n]) for n in extent.sizes},
+        {n: [(trip(Case(n), k, False), trip(Case(n), k, True)) for k in risen[n]] for n in extent.sizes},
         {circle: Bound(*map(np.concatenate, zip(*bounds[circle], strict=True))) for circle in circles},
         pushed(),
     )
@@ -334,8 +368,3 @@ def _joined(parts: Sequence[Outcome]) -> Outcome:
     whole = {name: [getattr(part, name) for part in parts] for name in Outcome._fields}
     kinds = tuple(kind for part in whole.pop("category") for kind in part)
     return Outcome(**{name: np.concatenate(arrays) for name, arrays in whole.items()}, category=kinds)
-
-
-def _refined(case: Case, outcome: Outcome) -> tuple[int, int]:
-    risen = (outcome.rise[:, 0] > RISE).nonzero()[0].tolist()
-    return len(risen), sum(rises_in_fine_steps(case, start) for start in risen)

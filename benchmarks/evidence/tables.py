@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from benchmarks.evidence.platoons import SEED, Case
-from benchmarks.evidence.study import CATEGORIES, RISE, Bound, Circle, Outcome, Spread, Study
+from benchmarks.evidence.study import CATEGORIES, RISE, Bound, Circle, Outcome, Spread, Study, Trip
 
 ROBOTS = (3, 4, 6, 10, 20, 30, 40, 50)
 """Of the chain, whose farthest distances are shown."""
@@ -49,7 +49,12 @@ def tables(found: Study) -> str:
                 "later triangles: never rises",
                 "nor while the robots before stand at their places",
             ),
-            _lyapunov(found.outcomes, found.refined),
+            _lyapunov(found),
+        ),
+        "### The starts in which the first V rises: the law alone, and with the supervisor",
+        _table(
+            ("n", "starts", "smallest side or median", "fastest of R1 to R3 told", "at their places after"),
+            _passes(found.passes),
         ),
         "### Ultimate bound",
         _table(
@@ -103,15 +108,25 @@ def _far(case: Case, outcome: Outcome) -> list[str]:
     return [str(case.n), case.variant, *cells]
 
 
-def _lyapunov(
-    outcomes: Mapping[Case, Outcome], refined: Mapping[int, tuple[int, int]]
-) -> Iterator[tuple[str, ...]]:
-    for n, (risen, still) in refined.items():
-        outcome = outcomes[Case(n)]
+def _lyapunov(found: Study) -> Iterator[tuple[str, ...]]:
+    for n, still in found.refined.items():
+        outcome = found.outcomes[Case(n)]
         later, after = outcome.rise[:, 1:], outcome.settled_rise[:, 1:]
         after = after[after > -math.inf]
+        kept = outcome.rise[:, 0] <= RISE
+        risen = int((~kept).sum())
         fine = f"{risen - still} of {risen}" if risen else ""
-        yield str(n), _share(outcome.rise[:, 0] <= RISE), fine, _share(later <= RISE), _share(after <= RISE)
+        yield str(n), _share(kept), fine, _share(later <= RISE), _share(after <= RISE)
+
+
+def _passes(passes: Mapping[int, Sequence[tuple[Trip, Trip]]]) -> Iterator[tuple[str, ...]]:
+    for n, trips in passes.items():
+        if trips:
+            law, led = (np.median(np.array(each), axis=0) for each in zip(*trips, strict=True))
+            cells = (
+                f"{law[k]:.2g} {unit}, {led[k]:.2g} {unit}" for k, unit in ((0, "m"), (1, "m/s"), (2, "s"))
+            )
+            yield str(n), str(len(trips)), *cells
 
 
 def _bound(circle: Circle, found: Bound) -> tuple[str, ...]:

@@ -30,6 +30,7 @@ from benchmarks.evidence.study import (
     pushed,
     rises_in_fine_steps,
     study,
+    trip,
 )
 from benchmarks.evidence.tables import tables
 from central_controller.chain import Chain
@@ -81,6 +82,15 @@ def test_v_of_the_first_triangle_never_rises(tiny: Study) -> None:
     for n in TINY.sizes:
         assert (tiny.outcomes[Case(n)].rise[:, 0] <= 1e-9).all()
     assert not rises_in_fine_steps(Case(3), 0)
+
+
+def test_the_supervisor_leads_round_a_singular_triangle() -> None:
+    """Start 191 of three robots passes R1 through the middle between the others within 1 cm."""
+    law, supervised = trip(Case(3), 191, False, 20.0), trip(Case(3), 191, True, 20.0)
+    assert law.nearest_m < 0.02
+    assert law.fastest_mps > 3.0
+    assert supervised.nearest_m > 0.1
+    assert supervised.fastest_mps < 1.0
 
 
 def test_errors_keep_within_the_bound(tiny: Study) -> None:
