@@ -37,7 +37,6 @@ from maniple.core.scenario.types import (
 )
 from maniple.core.scenario.ways import way_of
 
-
 GAP_M = 0.01
 """Parts of a task that are farther apart than this are told."""
 
@@ -288,11 +287,15 @@ def _table(left: Sequence[str], right: Sequence[str]) -> Table:
     return table
 
 
+def _numbers(values: Sequence[float], digits: int) -> str:
+    return ", ".join(f"{round(value, digits) + 0.0:.{digits}f}" for value in values)  # no -0.00
+
+
 def _legs_table(legs: Sequence[LegPlan]) -> Table:
     numbers = ("from (m, m, rad)", "to (m, m, rad)", "length (m)", "fastest (m/s)", "time (s)")
     table = _table(("", "task"), numbers)
     for index, leg in enumerate(legs):
-        ends = (", ".join(f"{value:.2f}" for value in pose) for pose in (leg.start, leg.end))
+        ends = (_numbers(pose, 2) for pose in (leg.start, leg.end))
         if leg.estimated:
             table.add_row(str(index), leg.what, *ends, "", "", f"about {leg.duration_s:.1f}")
         else:
@@ -310,8 +313,8 @@ def _robots_table(robots: Sequence[RobotPlan]) -> Table:
             robot.model,
             robot.sensor,
             f"{robot.control_point_m:.2f}",
-            ", ".join(f"{value:.2f}" for value in robot.place),
-            ", ".join(f"{value:.3f}" for value in robot.pose),
+            _numbers(robot.place, 2),
+            _numbers(robot.pose, 3),
             f"{robot.hold_after_s:.2f}, {robot.stop_after_s:.2f}",
         )
     return table
