@@ -166,4 +166,4 @@ def _window(series: Series) -> tuple[float, float]:
     sizes = [np.nanmax(s.points, axis=0) - np.nanmin(s.points, axis=0) for s in series.snapshots]
     wide, high = np.max(sizes, axis=0) + 2 * MARGIN_M
     names = len(series.robots) <= MANY  # which stand above their robots
-    return float(max(wide, high / 1.6)), float(max(high, wide / (1.5 if names else 2.2)))
+    return float(max(wide, high / 1.6)), float(max(high, wide / (1.3 if names else 2.2)))
