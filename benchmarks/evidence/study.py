@@ -38,7 +38,7 @@ RISE = 1e-9
 FINE_DT_S = 1e-3
 """Step in which those starts are repeated whose first V rose."""
 FINE_S = 30.0
-PASS_S = 120.0
+PASS_S = 300.0
 """For how long they are repeated with the supervisor."""
 
 SPEEDS_MPS, RADIUS_M = (0.2, 0.4), 2.0

@@ -99,12 +99,18 @@ def _times(outcome: Outcome) -> Iterator[str]:
 
 
 def _speed(outcome: Outcome) -> str:
-    return f"{np.median(outcome.fastest_mps):.2g} m/s"
+    return f"{_two(np.median(outcome.fastest_mps))} m/s"
+
+
+def _two(value: np.floating) -> str:
+    """Two digits that count, without an exponent."""
+    short = f"{value:.2g}"
+    return f"{float(short):,.0f}" if "e+" in short else short
 
 
 def _far(case: Case, outcome: Outcome) -> list[str]:
     medians = np.median(outcome.farthest_m, axis=0)
-    cells = [f"{medians[k - 1]:.2g} m" if k <= case.n else "" for k in ROBOTS]
+    cells = [f"{_two(medians[k - 1])} m" if k <= case.n else "" for k in ROBOTS]
     return [str(case.n), case.variant, *cells]
 
 
