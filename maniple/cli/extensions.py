@@ -1,8 +1,7 @@
 """Implementations of layers that other packages bring, found by their entry points."""
 
 from collections.abc import Iterable, Mapping
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 
 from central_controller.planning import METHODS
 from central_controller.watched import LAWS, WatchedLaw, WatchedPlanner
@@ -12,6 +11,9 @@ from maniple.control.pipeline import Pipeline
 from maniple.core.errors import ScenarioError
 from maniple.core.layers import PIPELINE
 from maniple.core.scenario.types import Scenario
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 Kind: TypeAlias = Literal["formation-law", "planner", "kinematics", "avoidance", "compensation"]
 """The layers that can be replaced."""
@@ -128,10 +130,12 @@ def _named(kind: Kind, used: Iterable[tuple[str, str]]) -> Mapping[str, Any]:
     }
 
 
-def _package(point: EntryPoint) -> str:
+def _package(point: "EntryPoint") -> str:
     """What brings an entry point, with its version."""
     return f"{point.dist.name} {point.dist.version}" if point.dist else "an unnamed package"
 
 
-def _points(kind: Kind) -> Iterable[EntryPoint]:
+def _points(kind: Kind) -> Iterable["EntryPoint"]:
+    from importlib.metadata import entry_points  # 4 MB that a node with built-in layers does without
+
     return entry_points(group=PLACES[kind].group)

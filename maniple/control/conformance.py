@@ -24,6 +24,7 @@ from maniple.control.parts import (
     Planner,
 )
 from maniple.control.returns import Returns
+from maniple.control.unicycle import control_point
 from maniple.core.geometry import Floats, Pose
 from maniple.core.scenario.types import Avoidance, Compensation, Controller, RobotModel
 from maniple.core.streams import stream
@@ -273,6 +274,11 @@ def kinematics(factory: KinematicsFactory, model: RobotModel, control_point_m: f
         told = made().inverse(0.3, 0.0, 0.0, 0.0)
         return f"for a point that is to stand it gave {told}" if any(told) else None
 
+    def place() -> str | None:
+        pose = Pose(1.0, 2.0, 0.5)
+        found, wanted = made().point(pose), control_point(pose, control_point_m)
+        return None if np.allclose(found, wanted) else f"of {pose} it is {found}, and not {wanted}"
+
     def motion() -> str | None:
         law, dt_s = made(), 1e-6
         for psi, velocity in _reachable(model):
@@ -292,6 +298,7 @@ def kinematics(factory: KinematicsFactory, model: RobotModel, control_point_m: f
             "gives them for huge velocities": huge,
             "inverse undoes forward where the robot can go": inverse,
             "forward is how point moves": motion,
+            "point is where the scenario has it, straight ahead": place,
             "stands where the point is to stand": rest,
             "same inputs, same outputs": lambda: _first_difference(outputs(), outputs(), inputs),
             **_pure(outputs),
