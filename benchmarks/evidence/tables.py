@@ -130,7 +130,8 @@ def _passes(passes: Mapping[int, Sequence[tuple[Trip, Trip]]]) -> Iterator[tuple
         if trips:
             law, led = (np.median(np.array(each), axis=0) for each in zip(*trips, strict=True))
             cells = (
-                f"{law[k]:.2g} {unit}, {led[k]:.2g} {unit}" for k, unit in ((0, "m"), (1, "m/s"), (2, "s"))
+                f"{_two(law[k])} {unit}, {_two(led[k])} {unit}"
+                for k, unit in ((0, "m"), (1, "m/s"), (2, "s"))
             )
             yield str(n), str(len(trips)), *cells
 
