@@ -91,7 +91,7 @@ def velocities(series: Series) -> Figure | None:
     if not robots:
         return None
     word = "real" if series.true else "measured"
-    sideways = any(np.nanmax(np.abs(r.commanded.values[:, 2]), initial=0.0) > 1e-6 for r in robots)
+    sideways = any(map(_goes_sideways, robots))
     rows: list[Artist] = [
         row("commanded", color=RED, ls=STRIPES[1]),
         row(word, color=BLUE),
@@ -104,11 +104,11 @@ def velocities(series: Series) -> Figure | None:
         for axes, column in ((linear, 0), (angular, 1)):
             line(axes, robot.real, column, color=BLUE)
             line(axes, robot.commanded, column, color=RED, ls=STRIPES[1])
-        if sideways:
+        if _goes_sideways(robot):
             line(linear, robot.real, 2, color=GREEN)
             line(linear, robot.commanded, 2, color=ORANGE, ls=STRIPES[1])
         linear.set_title(robot.id)
-        linear.set_ylabel("u [m/s]" if not sideways else "u, v [m/s]")
+        linear.set_ylabel("u, v [m/s]" if _goes_sideways(robot) else "u [m/s]")
         angular.set_ylabel("w [rad/s]")
     for side, columns in ((0, (0, 2) if sideways else (0,)), (1, (1,))):
         tracks = [part.values[:, list(columns)] for one in robots for part in (one.commanded, one.real)]
@@ -120,6 +120,11 @@ def velocities(series: Series) -> Figure | None:
         ]
     legend(figure, rows, columns=2)
     return figure
+
+
+def _goes_sideways(robot: RobotSeries) -> bool:
+    """Whether it was ever told to."""
+    return bool(np.nanmax(np.abs(robot.commanded.values[:, 2]), initial=0.0) > 1e-6)
 
 
 def _velocities_together(robots: list[RobotSeries], word: str, sideways: bool) -> Figure:
