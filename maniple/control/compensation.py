@@ -109,10 +109,7 @@ class Adaptive:
         refuse_options(parameters.options)
         self._parameters = parameters
         self._bounds = bounds(model.theta)
-        self._theta = tuple(
-            min(max(parameters.initial * th, low), high)
-            for th, (low, high) in zip(model.theta, self._bounds, strict=True)
-        )
+        self._theta = tuple(parameters.initial * th for th in model.theta)
         self._model = model
         self._told = Velocity()
         self._rates = tuple(Derivative(parameters.filter_s) for _ in Velocity())

@@ -6,8 +6,19 @@ from msgspec.structs import replace
 from scipy.integrate import solve_ivp
 
 from maniple.control import unicycle
-from maniple.control.compensation import Adaptive, Derivative, Terms, bounds, corrected, reference, regressor
+from maniple.control.compensation import (
+    SPREAD,
+    Adaptive,
+    Derivative,
+    Terms,
+    bounds,
+    corrected,
+    reference,
+    regressor,
+)
 from maniple.control.limits import Velocity
+from maniple.core.errors import ScenarioError
+from maniple.core.scenario.parse import parameters_of
 from maniple.core.scenario.types import Compensation
 from tests.pioneer import PIONEER
 
@@ -173,6 +184,15 @@ def test_parameters_stay_within_bounds(measured: Velocity) -> None:
         law.step(STRAIGHT, measured, True, 0.1)
     for value, (low, high) in zip(law.parameters, bounds(THETA), strict=True):
         assert low <= value <= high
+
+
+def test_parameters_may_start_anywhere_within_their_bounds() -> None:
+    for initial in (1.0 / SPREAD, SPREAD):
+        law = parameters_of(Compensation, {"initial": initial})
+        start = Adaptive(law, MODEL).parameters
+        assert all(low <= th <= high for th, (low, high) in zip(start, bounds(THETA), strict=True))
+        with pytest.raises(ScenarioError, match="initial"):
+            parameters_of(Compensation, {"initial": initial**1.01})
 
 
 def test_sideways_goes_like_ahead() -> None:

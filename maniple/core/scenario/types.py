@@ -463,8 +463,8 @@ class Compensation(Parameters, frozen=True, kw_only=True):
     """How fast each is forgotten."""
     adapt: bool = True
     """Whether they are adapted at all."""
-    initial: Positive = 1.0
-    """The parameters start at the model's `theta` times this."""
+    initial: Annotated[float, Meta(ge=0.625, le=1.6)] = 1.0
+    """The parameters start at the model's `theta` times this; they never leave these limits."""
     filter_s: PositiveSeconds = 0.2
     """Time constant of the derivative of the desired velocities."""
 
