@@ -14,6 +14,10 @@ margin:
   at most. gamma is at most 1 / (3 T), the most that a loop of delay T follows without overshoot. What is
   abeam does not limit, for u does not approach it.
 
+The disc is around the middle of the axle, which does not move while the robot turns on the spot. A car never
+does: its disc is around its body, whose middle moves up to `Limits.swing` aside of where the axle goes. A
+robot that moves in every direction has the same rules for the speed at which it closes in on each return.
+
 A return of a wide beam may come from anywhere across it: it counts as half of the opening angle nearer to
 where the robot goes than its axis.
 

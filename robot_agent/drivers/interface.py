@@ -67,6 +67,8 @@ class Capabilities(NamedTuple):
     scan_hz: float
     frame: str
     """`frame_id` of the odometry made from its reports."""
+    v_max_mps: float = 0.0
+    """Sideways, either way; 0 for one that can't."""
 
 
 class Driver(Protocol):
@@ -123,4 +125,5 @@ def within(limits: Limits, capabilities: Capabilities, robot: str) -> Limits:
         u_min=max(limits.u_min, -u_max) if capabilities.reverse else 0.0,
         u_max=u_max,
         w_max=min(limits.w_max, capabilities.w_max_radps),
+        v_max=min(limits.v_max, capabilities.v_max_mps),
     )

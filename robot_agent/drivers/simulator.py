@@ -21,4 +21,5 @@ def capabilities(scenario: Scenario, robot: Robot) -> Capabilities:
         motion_hz=scenario.rates.motion_hz,
         scan_hz=scenario.rates.scan_hz,
         frame=robot.id,
+        v_max_mps=model.v_max_mps or 0.0,
     )

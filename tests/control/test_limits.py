@@ -81,3 +81,20 @@ def test_it_needs_ranges_if_its_guard_or_a_layer_of_its_own_goes_by_them() -> No
                 limits = limits_of(replace(made, avoidance=Avoidance(enabled=enabled)), robot)
                 onboard = enabled and cut in ("kinematics", "avoidance")
                 assert limits.needs_ranges == (clearance or onboard)
+
+
+def test_what_sideways_motion_and_steering_limit() -> None:
+    scene, robot = scenario(Placement(), Controller(), Guard())
+    kinds = {
+        "omni": replace(PIONEER, drive="omnidirectional", v_max_mps=0.4),
+        "car": replace(PIONEER, drive="car", wheelbase_m=0.5, steer_max_rad=0.4, body_offset_m=0.2),
+        "lopsided": replace(PIONEER, body_offset_m=0.1),
+    }
+    scene = replace(scene, models=kinds)
+    omni, car, lopsided = (limits_of(scene, replace(robot, model=name)) for name in kinds)
+    assert (omni.v_max, omni.curvature, omni.centre, omni.swing) == (0.4, math.inf, 0.0, 0.0)
+    assert car.v_max == 0.0
+    assert car.curvature == pytest.approx(math.tan(0.4) / 0.5)
+    assert (car.centre, car.radius) == (0.2, 0.5 * math.hypot(0.511, 0.425))
+    assert math.tan(car.swing) == pytest.approx(0.2 * car.curvature)
+    assert (lopsided.centre, lopsided.radius) == (0.0, math.hypot(0.5 * 0.511 + 0.1, 0.5 * 0.425))
