@@ -1,6 +1,7 @@
 """Dead reckoning: from the counts of the wheel encoders to pose and velocity."""
 
 import math
+from operator import mul, sub
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ _STANDING = Velocity()
 
 class Wheels(NamedTuple):
     """The robot's geometry as far as its encoders go: how far it goes ahead (m), turns (rad) and goes to the
-    left (m) with one count of each wheel."""
+    left (m; empty for one that can't) with one count of each wheel."""
 
     ahead: tuple[float, ...]
     turn: tuple[float, ...]
@@ -49,7 +50,12 @@ def wheels_of(model: RobotModel) -> Wheels:
     squares = (ways * ways).sum(axis=0)
     ahead, turn, left = (ways * (metres_per_tick / np.where(squares > 0.0, squares, np.inf))).T.tolist()
     fastest = np.abs(ways) @ (model.u_max_mps, model.w_max_radps, model.v_max_mps or 0.0)
-    return Wheels(tuple(ahead), tuple(turn), tuple(left), _MARGIN * float(fastest.max()) / metres_per_tick)
+    return Wheels(
+        tuple(ahead),
+        tuple(turn),
+        tuple(left) if any(left) else (),
+        _MARGIN * float(fastest.max()) / metres_per_tick,
+    )
 
 
 def step(wheels: Wheels, state: Reckoning, ticks: tuple[int, ...], stamp: Time) -> tuple[Reckoning, bool]:
@@ -62,17 +68,13 @@ def step(wheels: Wheels, state: Reckoning, ticks: tuple[int, ...], stamp: Time) 
     if state.ticks is None:
         return Reckoning(state.pose, _STANDING, ticks, stamp), False
     elapsed = to_seconds(stamp - state.stamp)
-    counted = [new - old for new, old in zip(ticks, state.ticks, strict=True)]
+    counted = tuple(map(sub, ticks, state.ticks))
     if max(map(abs, counted)) > wheels.ticks_per_second * max(elapsed, 0.0) + _SLACK_TICKS:
         return Reckoning(state.pose, _STANDING, ticks, stamp), True
-    ahead = _sum(wheels.ahead, counted)
-    turn = _sum(wheels.turn, counted)
-    left = _sum(wheels.left, counted)
+    ahead = sum(map(mul, wheels.ahead, counted))
+    turn = sum(map(mul, wheels.turn, counted))
+    left = sum(map(mul, wheels.left, counted), 0.0)
     pose = state.pose.advance(ahead, turn, left)
     if elapsed <= 0.0:
         return Reckoning(pose, state.velocity, ticks, state.stamp), False
     return Reckoning(pose, Velocity(ahead / elapsed, turn / elapsed, left / elapsed), ticks, stamp), False
-
-
-def _sum(shares: tuple[float, ...], counted: list[int]) -> float:
-    return sum(share * count for share, count in zip(shares, counted, strict=True))

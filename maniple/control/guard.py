@@ -50,11 +50,16 @@ def step(
         u, w, v, reason = u * share, w * share, v * share, "age"
     if limits.needs_ranges and returns is None:
         u, w, v, reason = 0.0, 0.0, 0.0, "blind"
-    u_able = _clip(u, limits.u_min, limits.u_max)
-    w_able = _steered(limits, u_able, _clip(w, -limits.w_max, limits.w_max))
-    able = Velocity(u_able, w_able, _clip(v, -limits.v_max, limits.v_max))
-    if able != (u, w, v):
-        reason = "speed"
+    able = Velocity(u, w, v)
+    if not (
+        limits.u_min <= u <= limits.u_max
+        and abs(w) <= limits.w_max
+        and abs(v) <= limits.v_max
+        and _steered(limits, u, w) == w
+    ):
+        u = _clip(u, limits.u_min, limits.u_max)
+        w = _steered(limits, u, _clip(w, -limits.w_max, limits.w_max))
+        able, reason = Velocity(u, w, _clip(v, -limits.v_max, limits.v_max)), "speed"
     sent = _ramped(limits, state, able, dt_s)
     if reason != "blind" and sent != able:
         reason = "acceleration"

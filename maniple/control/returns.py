@@ -35,6 +35,7 @@ class _Fan(NamedTuple):
     """The beams of a range finder in the robot's frame: all that does not change from scan to scan."""
 
     x: Floats
+    """Where the beams start, m: one number for all, or one for each."""
     y: Floats
     cos: Floats
     sin: Floats
@@ -63,9 +64,9 @@ def returns_of(scan: Scan) -> Returns:
     if fan.central:
         return Returns(r, fan.bearing[hit], fan.sees_ahead, fan.sees_behind, half)
     x = fan.cos[hit] * r
-    x += fan.x[hit]
+    x += fan.x[hit] if scan.beams else fan.x
     y = fan.sin[hit] * r
-    y += fan.y[hit]
+    y += fan.y[hit] if scan.beams else fan.y
     return Returns(np.hypot(x, y), np.arctan2(y, x), fan.sees_ahead, fan.sees_behind, half)
 
 
@@ -85,8 +86,8 @@ def moved(returns: Returns, motion: Pose) -> Returns:
 def _fan(first: float, increment: float, count: int, mount: tuple[float, float, float]) -> _Fan:
     angles: Floats = first + mount[2] + increment * np.arange(count, dtype=np.float64)
     return _Fan(
-        np.full(count, mount[0]),
-        np.full(count, mount[1]),
+        np.array([mount[0]]),
+        np.array([mount[1]]),
         np.cos(angles),
         np.sin(angles),
         wrap_array(angles),

@@ -19,7 +19,7 @@ METRES_PER_TICK, TRACK = 1e-6, 0.33
 WHEELS = Wheels(
     ahead=(0.5 * METRES_PER_TICK,) * 2,
     turn=(-METRES_PER_TICK / TRACK, METRES_PER_TICK / TRACK),
-    left=(0.0, 0.0),
+    left=(),
     ticks_per_second=2e6,
 )
 TENTH = SECOND // 10
@@ -35,7 +35,7 @@ def test_geometry_of_a_pioneer() -> None:
     wheels = wheels_of(PIONEER)
     assert wheels.ahead == pytest.approx([0.5e-3 / 128] * 2, rel=1e-4)
     assert wheels.turn[1] == -wheels.turn[0] == pytest.approx(1e-3 / 128 / 0.33, rel=1e-4)
-    assert wheels.left == (0.0, 0.0)
+    assert wheels.left == ()
     assert wheels.ticks_per_second * 1e-3 / 128 > 1.2  # what ARIA lets it do
 
 
