@@ -9,19 +9,19 @@ from typing import NamedTuple
 from maniple.core import codec, topics
 from maniple.core.errors import MessageError
 from maniple.core.messages import Call, Decisions, Journal, Refused
+from maniple.core.time import Time
 
 
 class _Flow:
     """One directed link: a sender's life, a topic, a receiver."""
 
-    __slots__ = ("accepted", "dropped", "first", "last", "newest", "passed", "refused")
+    __slots__ = ("dropped", "due", "first", "last", "passed", "refused", "taken")
 
     def __init__(self) -> None:
         self.first = -1
         self.last = -1
-        self.newest = -1
-        self.passed = array("q")
-        self.accepted = self.dropped = self.refused = 0
+        self.taken, self.passed, self.due = array("q"), array("q"), array("q")
+        self.dropped = self.refused = 0
 
     @property
     def sent(self) -> int:
@@ -29,10 +29,16 @@ class _Flow:
         return self.last - self.first + 1
 
     @property
-    def missing(self) -> int:
-        """What never arrived, though nobody dropped it. What fault injection let pass and is newer than all
-        that arrived is still held back."""
-        held = sum(seq > self.newest for seq in self.passed)
+    def accepted(self) -> int:
+        """Of which the receiver took in."""
+        return len(self.taken)
+
+    def missing(self, until: Time) -> int:
+        """What never arrived, though nobody dropped it. What fault injection let pass is still held back if
+        it is newer than all that arrived, or due after `until`, when the receiver did its last."""
+        newest = max(self.taken, default=-1)
+        late = {seq for seq, due in zip(self.passed, self.due, strict=True) if seq > newest or due > until}
+        held = len(late.difference(self.taken)) if late else 0
         return max(self.sent - self.accepted - self.dropped - self.refused - held, 0)
 
     def saw(self, seq: int) -> None:
@@ -58,11 +64,13 @@ class LinkCounts:
 
     def __init__(self) -> None:
         self._flows: dict[tuple[str, str, str, int], _Flow] = {}
+        self._until: defaultdict[str, Time] = defaultdict(int)
         self._refused = 0
 
     def journal(self, journal: Journal) -> None:
         """A receiver's journal."""
         receiver = journal.source
+        self._until[receiver] = max(self._until[receiver], *(call.now_ns for call in journal.calls), 0)
         for call in journal.calls:
             if call.kind != "message":
                 continue
@@ -71,8 +79,7 @@ class LinkCounts:
             elif _faults_apply(call.name):
                 flow = self._flow(receiver, call.source, call.name, call.incarnation)
                 flow.saw(call.seq)
-                flow.accepted += 1
-                flow.newest = max(flow.newest, call.seq)
+                flow.taken.append(call.seq)
 
     def decisions(self, decisions: Decisions) -> None:
         """What a receiver's fault injection did."""
@@ -84,6 +91,7 @@ class LinkCounts:
                 flow.dropped += 1
             else:
                 flow.passed.append(decided.seq)
+                flow.due.append(decisions.stamp_ns + decided.delay_ns)
 
     def totals(self) -> dict[str, int]:
         """`sent`, `delivered`, `lost_injected`, `lost_other` and `refused` over all links.
@@ -91,11 +99,11 @@ class LinkCounts:
         What is still held back by an injected delay at the end is sent, and none of the others.
         """
         sent = delivered = injected = missing = 0
-        for flow in self._flows.values():
+        for (receiver, *_), flow in self._flows.items():
             sent += flow.sent
             delivered += flow.accepted
             injected += flow.dropped
-            missing += flow.missing
+            missing += flow.missing(self._until[receiver])
         return {
             "sent": sent,
             "delivered": delivered,
@@ -117,7 +125,7 @@ class LinkCounts:
                 sent=sum(life.sent for life in lives),
                 delivered=sum(life.accepted for life in lives),
                 lost_injected=sum(life.dropped for life in lives),
-                lost_other=sum(life.missing for life in lives),
+                lost_other=sum(life.missing(self._until[receiver]) for life in lives),
                 refused=max(life.refused for life in lives),
             )
             for (topic, source, receiver), lives in sorted(flows.items())

@@ -134,6 +134,18 @@ def test_what_a_dead_receiver_was_sent_is_lost() -> None:
     assert totals(decided(range(6)), calls) == (6, 3, 0, 2, 0)
 
 
+def test_what_is_due_after_the_end_is_held_back_though_a_later_one_was_faster() -> None:
+    def at_the_end(due_ns: int) -> tuple[int, ...]:
+        slow = Decided("r1", ODOMETRY, 1, 2, False, due_ns - 100)
+        calls = (*map(accepted, (0, 1)), Call("message", 200, ODOMETRY, "r1", 1, 3))
+        passed = decided((0, 1, 3))
+        late = Decisions(source="controller", stamp_ns=100, decided=(slow,))
+        return totals(passed, late, journal(*calls))
+
+    assert at_the_end(201) == (4, 3, 0, 0, 0)
+    assert at_the_end(200) == (4, 3, 0, 1, 0)
+
+
 def test_every_link_by_itself_over_all_lives() -> None:
     counts = LinkCounts()
     counts.journal(journal(*map(accepted, (0, 1, 3)), *(accepted(seq, incarnation=2) for seq in (0, 1))))
