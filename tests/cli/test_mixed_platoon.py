@@ -23,7 +23,7 @@ def test_four_kinds_of_robots_follow_a_line_past_obstacles_behind_their_guards(t
     assert result.collisions == 0
     assert result.min_clearance_m is not None
     assert result.min_clearance_m > 0.05
-    assert_small_errors(result.final_error, 0.1)
+    assert_small_errors(result.final_error, 0.04)  # who sees only ahead does not back what it overshot
 
 
 def of_kinds() -> Scenario:
