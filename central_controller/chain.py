@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from central_controller.triangle import Triangles, as_complex, carried, f, jacobian
+from central_controller.triangle import Triangles, as_complex, carried, f
 from maniple.core.geometry import Floats, Pose
 
 
@@ -43,27 +43,6 @@ class Chain:
         moves at `velocity` (m/s, m/s, rad/s counter-clockwise). With "neighbours" the control points are now
         at `positions`, (n, 2)."""
         desired = Desired(*carried(self._own, reference, velocity))
-        if self._neighbours and positions is not None:
-            _lean_on_neighbours(desired, reference, velocity, positions, self._signed)
-        return desired
-
-    def deforming(
-        self,
-        points: Floats,
-        velocities: Floats,
-        reference: Pose,
-        velocity: tuple[float, float, float],
-        positions: Floats | None = None,
-    ) -> Desired:
-        """The same while the desired formation changes: its `points` (n, 2) in m, in its own frame, move at
-        `velocities` (n, 2) in m/s."""
-        frame = np.exp(1j * reference.psi)
-        arms = as_complex(np.ascontiguousarray(points))[:, 0] * frame
-        moved = as_complex(np.ascontiguousarray(velocities))[:, 0] * frame
-        moved = moved + arms * complex(0.0, velocity[2]) + complex(velocity[0], velocity[1])
-        corners = _windows(_as_points(arms + complex(reference.x, reference.y)))
-        speeds = np.ascontiguousarray(_windows(_as_points(moved))).reshape(-1, 6, 1)
-        desired = Desired(f(corners, self._signed), (jacobian(corners, self._signed) @ speeds)[..., 0])
         if self._neighbours and positions is not None:
             _lean_on_neighbours(desired, reference, velocity, positions, self._signed)
         return desired

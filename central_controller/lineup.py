@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from central_controller.chain import Chain, Desired
+from central_controller.chain import Chain
 from central_controller.planning import Straight, rechain, relabel
 from central_controller.reference import Reference
 from maniple.control.parts import Planner
@@ -105,17 +105,25 @@ class Lineup:
 
     def places_at(self, frame: Pose) -> Floats:
         """`points` where the formation's own frame is at `frame`, (k, 2) in m."""
-        c, s = math.cos(frame.psi), math.sin(frame.psi)
-        return np.asarray(self.points @ np.array([[c, s], [-s, c]]) + (frame.x, frame.y))
+        return np.asarray(self.points @ _turned(frame.psi) + (frame.x, frame.y))
 
     def packed(self) -> bytes:
         """`points` as the wire has them."""
         return self._packed if self._building is None else pack_floats(self.points)
 
-    def desired(self, target: Reference, positions: Floats) -> Desired:
-        """What the triangles are to be when the formation's frame follows `target` and the control points
-        are at `positions`, (k, 2)."""
-        if self._building is None:
-            return self.chain.desired(target.pose, target.velocity, positions)
-        points, velocities = self._building.at(self._elapsed_s)
-        return self.chain.deforming(points, velocities, target.pose, target.velocity, positions)
+    def ways_at(self, target: Reference) -> tuple[Floats, Floats]:
+        """While the formation is being built: where the control points are to be, (k, 2) in m, and how fast
+        they are to move, (k, 2) in m/s, when the formation's frame follows `target`."""
+        assert self._building is not None
+        points = self.places_at(target.pose)
+        _, ways = self._building.at(self._elapsed_s)
+        vx, vy, turning = target.velocity
+        arms = points - (target.pose.x, target.pose.y)
+        carried = turning * np.column_stack([-arms[:, 1], arms[:, 0]]) + (vx, vy)
+        return points, ways @ _turned(target.pose.psi) + carried
+
+
+def _turned(angle: float) -> Floats:
+    """What turns row vectors counter-clockwise."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, s], [-s, c]])

@@ -6,8 +6,11 @@ from typing import Literal, TypeAlias
 import numpy as np
 from msgspec.structs import replace
 
+from central_controller import formation
+from central_controller.formation import Gains
 from central_controller.lineup import Lineup
 from central_controller.mission import Mission, from_here
+from central_controller.planning import follow
 from central_controller.reference import Reference, within
 from central_controller.roster import Member, Roster, View
 from central_controller.supervisor import Supervisor, exchange
@@ -71,6 +74,7 @@ class CentralController:
         self._layer = scenario.placement.robot_from
         self._with_ranges = "avoidance" in layers and scenario.avoidance.enabled
         self._law = WatchedLaw(scenario.controller, parts)
+        self._gains = Gains.of(scenario.controller)
         self._planner = WatchedPlanner(scenario.planning, parts)
         self._roster = Roster(scenario.robots, scenario.controller.host)
         self._lineup = Lineup(scenario, self._planner)
@@ -84,6 +88,7 @@ class CentralController:
         self._stage: Stage = "waiting"
         self._told_to_hold = False
         self._rate = 0.0
+        self._settling: Duration = 0
         self._errors: Floats | None = None
         self._notes: tuple[str, ...] = ()
         self._waits_for: tuple[str, ...] = ()
@@ -175,13 +180,19 @@ class CentralController:
         self._roster.locate()
         planning = self._scenario.planning
         points = self._own_points(now)
-        self._lineup.plan(points)
-        self._supervisor = self._supervise()
+        self._plan(points)
         self._happened("ready")
         if planning.build == "straight":
             self._lineup.build(points, planning.speed_mps)
         elif planning.build == "off":
             self._happened("built")
+
+    def _plan(self, points: Mapping[str, Point]) -> None:
+        """Decide who of the robots at `points`, in the formation's own frame, goes where."""
+        self._lineup.plan(points)
+        if self._scenario.supervisor.exchange:
+            self._exchange(points)
+        self._supervisor = self._supervise()
 
     def _reorganise(self) -> None:
         """Robots were lost or came back: a new chain over those that are there."""
@@ -194,16 +205,13 @@ class CentralController:
 
     def _guide(self, views: Mapping[str, View], elapsed: Duration, now: Time) -> list[Outgoing]:
         """The formation law, and what the central layers make of it."""
-        self._exchange(views)
+        if self._scenario.supervisor.exchange and not self._lineup.building:
+            self._exchange(self._own_points(now))
         robots = self._lineup.robots
         positions = np.array([views[name].point for name in robots])
         self._advance(elapsed, positions)
         target = self._reference()
-        desired = self._lineup.desired(target, positions)
-        correction = self._law.step(self._lineup.chain, positions, desired, to_seconds(elapsed))
-        self._errors = correction.errors
-        places = self._lineup.places_at(target.pose)
-        velocities, self._notes = self._supervisor.step(positions, places, correction.velocities)
+        velocities = self._wanted(positions, target, elapsed)
         out = []
         oldest = max(views[name].age for name in robots)
         for name, (vx, vy) in zip(robots, velocities.tolist(), strict=True):
@@ -217,17 +225,32 @@ class CentralController:
             out.append(self._command(name, view, told, age))
         return [*out, self._state(target, now)]
 
-    def _exchange(self, views: Mapping[str, View]) -> None:
-        """Let robots of one kind that are in each other's way have each other's places."""
-        if not self._scenario.supervisor.exchange or self._lineup.building:
-            return
+    def _wanted(self, positions: Floats, target: Reference, elapsed: Duration) -> Floats:
+        """The velocities of the control points of the chain, (k, 2) in m/s."""
+        chain = self._lineup.chain
+        if self._lineup.building:
+            points, ways = self._lineup.ways_at(target)
+            desired, actual = (chain.triangles(places).variables() for places in (points, positions))
+            self._errors, self._notes = formation.errors(desired, actual), ()
+            return follow(points, ways, positions, self._gains)
+        aim = chain.desired(target.pose, target.velocity, positions)
+        correction = self._law.step(chain, positions, aim, to_seconds(elapsed))
+        self._errors = correction.errors
+        places = self._lineup.places_at(target.pose)
+        velocities, self._notes = self._supervisor.step(positions, places, correction.velocities)
+        return velocities
+
+    def _exchange(self, points: Mapping[str, Point]) -> None:
+        """Let robots of one kind whose control points, given in the formation's own frame, would be led
+        through each other have each other's places."""
         robots = [self._robots[name] for name in self._lineup.robots]
         kinds = [(robot.model, robot.sensor, robot.control_point_m) for robot in robots]
         alike = np.array([[one == other for other in kinds] for one in kinds])
-        reach = max(outline.radius(self._scenario.model_of(robot)) for robot in robots)
-        points = np.array([views[robot.id].point for robot in robots])
-        places = self._lineup.places_at(self._reference().pose)
-        order = exchange(points, places, range(len(robots)), alike, 2.0 * reach)
+        reach = max(
+            outline.radius(self._scenario.model_of(robot)) + robot.control_point_m for robot in robots
+        )
+        here = np.array([points[robot.id] for robot in robots])
+        order = exchange(here, self._lineup.places, range(len(robots)), alike, 2.0 * reach)
         if order is not None:
             self._lineup.exchange(order)
             self._supervisor = self._supervise()
@@ -239,6 +262,7 @@ class CentralController:
         if goes:
             self._lineup.advance(to_seconds(elapsed))
         if self._stage == "forming":
+            self._settling = 0 if self._lineup.building or not goes else self._settling + elapsed
             if not self._lineup.building and self._built():
                 self._happened("built")
         elif self._stage == "running" and goes:
@@ -250,7 +274,9 @@ class CentralController:
 
     def _built(self) -> bool:
         planning = self._scenario.planning
-        return self._errors is not None and within(self._errors, planning.tolerance_m, planning.tolerance_rad)
+        if self._errors is not None and within(self._errors, planning.tolerance_m, planning.tolerance_rad):
+            return True
+        return planning.build == "straight" and self._settling >= from_seconds(planning.patience_s)
 
     def _happened(self, event: Event) -> None:
         self._stage = STAGES.get((self._stage, event), self._stage)
@@ -304,8 +330,7 @@ class CentralController:
         if self._stage == "waiting":
             return
         here = self._own_points(now)
-        self._lineup.plan(here)
-        self._supervisor = self._supervise()
+        self._plan(here)
         if self._enough:
             self._lineup.build(here, self._scenario.planning.speed_mps)
 

@@ -54,30 +54,6 @@ def test_desired_rates_are_the_change_of_the_desired_variables() -> None:
     assert math.copysign(1.0, rates[0, 2]) == -1.0
 
 
-def test_a_desired_formation_that_changes_is_differentiated_exactly() -> None:
-    rng = np.random.default_rng(3)
-    start, speeds = np.array(POINTS), rng.normal(size=(5, 2))
-    (vx, vy, w), step = (0.1, -0.2, 0.3), 1e-6
-    for signed in (True, False):
-        chain = Chain(POINTS, signed)
-
-        def at(t: float, chain: Chain = chain) -> Pose:
-            return Pose(POSE.x + vx * t, POSE.y + vy * t, POSE.psi + w * t)
-
-        before, now, after = (
-            chain.deforming(start + speeds * t, speeds, at(t), (vx, vy, w)) for t in (-step, 0.0, step)
-        )
-        assert_allclose(now.rates, wrap_array(after.q - before.q) / (2 * step), atol=1e-6)
-
-
-def test_a_rigid_formation_is_a_deforming_one_at_rest() -> None:
-    chain = Chain(POINTS)
-    rigid = chain.desired(POSE, (0.1, -0.2, 0.3))
-    deforming = chain.deforming(np.array(POINTS), np.zeros((5, 2)), POSE, (0.1, -0.2, 0.3))
-    assert_allclose(wrap_array(deforming.q - rigid.q), 0.0, atol=1e-12)
-    assert_allclose(deforming.rates, rigid.rates, atol=1e-12)
-
-
 def test_neighbours_are_where_they_should_be_when_everybody_is() -> None:
     for signed in (True, False):
         positions = placed(POINTS, POSE)

@@ -101,13 +101,23 @@ def test_the_build_up_starts_where_the_robots_are_and_ends_at_their_places() -> 
     one.build(start, 0.1)
     assert one.building
     assert_allclose(one.points, list(start.values()))
-    positions = one.places_at(HERE.pose)
-    assert_allclose(one.desired(HERE, positions).q, one.chain.triangles(positions).variables(), atol=1e-12)
     for _ in range(1000):
         one.advance(0.1)
     assert not one.building
     assert_allclose(one.points, POINTS)
-    assert_allclose(one.desired(HERE, positions).q, one.chain.desired(HERE.pose, REST).q)
+
+
+def test_the_ways_move_with_the_formation_and_their_velocities_are_their_derivatives() -> None:
+    one, moving = lineup(), (0.1, -0.2, 0.3)
+    one.build({name: (x - 1.0, 0.5 * y) for name, (x, y) in at_places().items()}, 0.1)
+    one.advance(3.0)
+    points, velocities = one.ways_at(Reference(HERE.pose, moving))
+    assert_allclose(points, placed(one.points.tolist(), HERE.pose))
+    step = 1e-6
+    one.advance(step)
+    x, y, psi = (a + step * b for a, b in zip(HERE.pose, moving, strict=True))
+    later, _ = one.ways_at(Reference(Pose(x, y, psi), moving))
+    assert_allclose((later - points) / step, velocities, atol=1e-5)
 
 
 def test_exchanged_robots_have_each_others_places() -> None:

@@ -728,3 +728,15 @@ def test_robots_of_one_kind_exchange_their_places_instead_of_passing_each_other(
         _, state = driver.tick()
         assert state.chain == chain
         assert (np.abs(unpack_floats(state.errors)).max() < 1e-6) == allowed
+
+
+def test_a_robot_that_does_not_get_to_its_place_is_not_waited_for_for_ever() -> None:
+    driver = Driver(scenario(planning=Planning(build="straight", patience_s=5.0)))
+    off = {"r1": odometry(Pose(0.1, 0.0, 0.0))}
+    driver.odometries(off)
+    phases = [driver.tick()[1].phase]
+    while phases[-1] == "forming":
+        driver.odometries(off)
+        phases.append(driver.tick(100)[1].phase)
+    lasts = 1.875 * 0.1 / 0.1
+    assert len(phases) == pytest.approx(10 * (lasts + 5.0), abs=3)

@@ -104,7 +104,7 @@ def test_flipped_bytes_give_an_answer_or_one_error(tmp_path: Path) -> None:
         if problem := _problem(damaged):
             assert str(damaged) in problem
             problems += 1
-    assert problems > 100
+    assert problems > 50
 
 
 def test_damaged_chunk_is_named(tmp_path: Path) -> None:

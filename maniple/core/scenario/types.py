@@ -393,6 +393,9 @@ class Planning(Parameters, frozen=True, kw_only=True):
     """The formation counts as built when no x, y, p or q of a triangle is off by more."""
     tolerance_rad: Positive = 0.10
     """And no psi_F or beta by more."""
+    patience_s: Seconds = 30.0
+    """This long after the straight ways have ended the task begins all the same: a robot that went too far
+    and can't see behind itself comes back to its place only on the way."""
 
 
 class Impedance(Parameters, frozen=True, kw_only=True):
