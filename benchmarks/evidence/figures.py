@@ -42,19 +42,22 @@ def draw(found: Study, folder: Path) -> list[Path]:
 
 
 def examples(found: Study) -> Iterator[Example]:
-    """Of every category the first start of the smallest case with ideal points, and the start whose V rose
-    most."""
-    ideal = {case: outcome for case, outcome in found.outcomes.items() if not case.pioneers}
+    """Of every category the first start of the smallest platoon of ideal points, by the signed angle where it
+    has one; and of the smallest platoon whose first V rose in any start, the one in which it rose most."""
+    ideal = [case for case in found.outcomes if not case.pioneers]
     for kind in CATEGORIES:
-        for case, outcome in ideal.items():
+        for case in sorted(ideal, key=lambda case: not case.signed):
+            outcome = found.outcomes[case]
             if kind in outcome.category:
                 title = f"{kind} (n = {case.n}, {case.variant})"
                 yield Example(title, case, outcome.category.index(kind), SHOWN_S.get(kind, 120.0))
                 break
-    case = max((Case(n) for n in found.extent.sizes), key=lambda case: ideal[case].rise[:, 0].max())
-    if ideal[case].rise[:, 0].max() > RISE:
-        start = int(ideal[case].rise[:, 0].argmax())
-        yield Example(f"near singular (n = {case.n}, {case.variant})", case, start, SINGULAR_S)
+    for case in map(Case, found.extent.sizes):
+        rises = found.outcomes[case].rise[:, 0]
+        if rises.max() > RISE:
+            title = f"near singular (n = {case.n}, {case.variant})"
+            yield Example(title, case, int(rises.argmax()), SINGULAR_S)
+            return
 
 
 def history(example: Example) -> History:

@@ -11,6 +11,8 @@ import numpy as np
 from benchmarks.evidence.platoons import (
     DT_S,
     KAPPA,
+    ORIGIN,
+    REST,
     SATURATION,
     SEED,
     Case,
@@ -21,7 +23,7 @@ from benchmarks.evidence.platoons import (
     starts,
 )
 from central_controller import formation
-from central_controller.chain import Desired
+from central_controller.chain import Chain, Desired
 from central_controller.supervisor import Supervisor
 from maniple.core.geometry import Floats, Pose, wrap_array
 from maniple.core.scenario import types
@@ -201,21 +203,26 @@ def _smallest(corners: Floats) -> Floats:
 def categories(platoons: Platoons) -> list[Category]:
     """What each platoon is doing, as one that is not in formation.
 
-    The first robot of the chain that is not at its place decides: if its triangle has no error, that is
-    mirrored. A platoon moves if any robot is told more than 1 mm/s; it is thrown apart if any is farther
-    from its place than three times the square they start in.
+    The first robot of the chain that is not at its place decides: if its triangle has no error and the other
+    sequence, that is mirrored. A platoon moves if any robot is told more than 1 mm/s; it is thrown apart if
+    any is farther from its place than three times the square they start in.
     """
     told = platoons.told(platoons.desired())
     distance = platoons.distances()
-    triangle = np.maximum((distance > TOLERANCE_M).argmax(axis=-1) - 2, 0)
-    errors = np.take_along_axis(np.linalg.norm(told.errors, axis=-1), triangle[:, None], axis=-1)[:, 0]
+    triangle = np.maximum((distance > TOLERANCE_M).argmax(axis=-1) - 2, 0)[:, None]
+    errors = np.take_along_axis(np.linalg.norm(told.errors, axis=-1), triangle, axis=-1)[:, 0]
+    signed = Chain(platoons.places)
+    turned = (
+        signed.triangles(platoons.positions).variables()[..., 5] * signed.desired(ORIGIN, REST).q[:, 5] < 0
+    )
+    mirrored = (errors < TOLERANCE_M) & np.take_along_axis(turned, triangle, axis=-1)[:, 0]
     moving = np.hypot(*np.moveaxis(told.velocities, -1, 0)).max(axis=-1) > 1e-3
     far = distance.max(axis=-1) > 3.0 * side_m(platoons.case.n)
-    return [_category(*each) for each in zip(errors.tolist(), moving, far, strict=True)]
+    return [_category(*each) for each in zip(mirrored, moving, far, strict=True)]
 
 
-def _category(error: float, moving: bool, far: bool) -> Category:
-    if error < TOLERANCE_M:
+def _category(mirrored: bool, moving: bool, far: bool) -> Category:
+    if mirrored:
         return "mirrored, moving" if moving else "mirrored, at rest"
     if far:
         return "thrown apart"

@@ -1,6 +1,7 @@
 """The study behind docs/evidence.md, in a tiny form: the same figures each time, and right in known cases."""
 
 import math
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from benchmarks.evidence.figures import draw
 from benchmarks.evidence.platoons import (
     CONTROL_POINT_M,
     DT_S,
+    SEED,
     THETA,
     W_MAX,
     Case,
@@ -21,6 +23,7 @@ from benchmarks.evidence.platoons import (
     starts,
 )
 from benchmarks.evidence.study import (
+    FULL,
     Circle,
     Extent,
     Study,
@@ -31,6 +34,7 @@ from benchmarks.evidence.study import (
     rises_in_fine_steps,
     study,
     trip,
+    variants,
 )
 from benchmarks.evidence.tables import tables
 from central_controller.chain import Chain
@@ -148,3 +152,17 @@ def test_command_and_pictures(tiny: Study, tmp_path: Path, capsys: pytest.Captur
     with pytest.raises(SystemExit):
         main(["--quicker"])
     assert "usage: python -m benchmarks.evidence" in capsys.readouterr().err
+
+
+def test_the_page_has_the_tables_of_the_command(tiny: Study) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "evidence.md").read_text(encoding="utf-8").splitlines()
+    lines = tables(tiny).splitlines()
+    for heading, after in pairwise(lines):
+        if after.startswith("| ---"):
+            assert heading in page
+    assert f"Seed {SEED}, {FULL.starts} starts a line, horizon {FULL.horizon_s:g} s." in page
+    for n in FULL.sizes:
+        for case in variants(n):
+            assert sum(line.startswith(f"| {n} | {case.variant} | ") for line in page) == 1 + (
+                n == FULL.sizes[-1]
+            )
