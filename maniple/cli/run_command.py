@@ -78,6 +78,10 @@ def _summary(result: Result) -> Table:
     table.add_row("closest to anything", clearance)
     for name, errors in (("peak error", result.peak_error), ("final error", result.final_error)):
         table.add_row(name, _errors(errors))
+    if result.odometry_drift_m is not None and result.odometry_drift_m >= 0.001:
+        table.add_row("odometry", f"off by {result.odometry_drift_m:.3f} m at the end")
+    if result.lost_robots:
+        table.add_row("lost on the way", ", ".join(result.lost_robots))
     age = result.command_age_ms
     if age.p50 is not None and age.p99 is not None:
         table.add_row("command age", f"{age.p50:.0f} ms median, {age.p99:.0f} ms p99")
