@@ -33,7 +33,8 @@ from maniple.report.style import (
 )
 
 VARIABLES = ("x", "y", r"$\psi_F$", "p", "q", r"$\beta$")
-METRES, RADIANS = (0, 1, 3, 4), (2, 5)
+PLACE, SIDES, RADIANS = (0, 1), (3, 4), (2, 5)
+"""Position and sides (m), and angles (rad): each has a scale of its own."""
 MANY_TRIANGLES = 6
 
 
@@ -45,24 +46,27 @@ def errors(series: Series) -> Figure | None:
     if len(triangles) > MANY_TRIANGLES:
         return _errors_together([one.seen for one in triangles], [one.true for one in triangles])
     figure = sheet(0.95 * len(triangles) + 0.85)
-    grid = panels(figure, len(triangles), 2)
-    for triangle, (metres, radians) in zip(triangles, grid, strict=True):
-        for axes, columns in ((metres, METRES), (radians, RADIANS)):
+    kinds = (PLACE, SIDES, RADIANS)
+    grid = panels(figure, len(triangles), len(kinds))
+    for triangle, line_of_axes in zip(triangles, grid, strict=True):
+        for axes, columns in zip(line_of_axes, kinds, strict=True):
             for column in columns:
                 colour, stripe = COLOURS[column], STRIPES[column % len(STRIPES)]
                 line(axes, triangle.true, column, color=colour, lw=2.2, alpha=0.28)
                 line(axes, triangle.seen, column, color=colour, ls=stripe)
-        metres.set_title(" ".join(triangle.robots))
-        metres.set_ylabel("error [m]")
-        radians.set_ylabel("error [rad]")
-    for side, columns, least in ((0, METRES, 0.02), (1, RADIANS, 0.02)):
+        line_of_axes[0].set_title(" ".join(triangle.robots))
+    for side, columns in enumerate(kinds):
         tracks = [part.values[:, list(columns)] for one in triangles for part in one[1:]]
-        shared_limits([axes[side] for axes in grid], *_range(tracks), least)
+        column_of_axes = [axes[side] for axes in grid]
+        shared_limits(column_of_axes, *_range(tracks), 0.02)
+        names = ", ".join(VARIABLES[k] for k in columns)
+        for axes in column_of_axes:
+            axes.set_ylabel(f"{names} [{'rad' if columns is RADIANS else 'm'}]")
     rows: list[Artist] = [
-        row(VARIABLES[k], color=COLOURS[k], ls=STRIPES[k % len(STRIPES)]) for k in (*METRES, *RADIANS)
+        row(VARIABLES[k], color=COLOURS[k], ls=STRIPES[k % len(STRIPES)]) for k in (*PLACE, *SIDES, *RADIANS)
     ]
     rows.append(row("truth", color=STONE, lw=2.2, alpha=0.5))
-    legend(figure, rows, columns=7)
+    legend(figure, rows, columns=4)
     return figure
 
 

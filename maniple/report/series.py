@@ -350,15 +350,22 @@ def _triples(chain: Sequence[str]) -> list[tuple[str, ...]]:
 
 
 def _most_deformed(true: Sequence[Stretch], since: Time) -> Time | None:
-    """When a side of a triangle, or beta across its mean side, is farthest off, from `since` on."""
-    worst: tuple[float, Time] | None = None
-    for part in true:
-        sides = np.abs(part.errors[..., 3:5]).max(axis=-1)
-        across = np.abs(part.errors[..., 5]) * part.desired[..., 3:5].mean(axis=-1)
-        deformed = np.where(part.stamps >= since, np.maximum(sides, across).max(axis=1), -1.0)
-        found = (float(deformed.max()), int(part.stamps[deformed.argmax()]))
-        worst = found if worst is None or found[0] > worst[0] else worst
-    return None if worst is None else worst[1]
+    """When a side of a triangle, or beta across its mean side, is farthest off, from `since` on; where robots
+    start scattered, from when that has fallen by half."""
+    stamps = np.concatenate([part.stamps for part in true] or [np.empty(0, dtype=np.int64)])
+    off = np.concatenate([_deformation(part) for part in true] or [np.empty(0)])
+    off, stamps = off[stamps >= since], stamps[stamps >= since]
+    if not len(off):
+        return None
+    formed = int((off <= 0.5 * off[0]).argmax())
+    return int(stamps[formed:][off[formed:].argmax()])
+
+
+def _deformation(part: Stretch) -> Floats:
+    """How far the worst triangle is from its shape, m, at every moment of a stretch."""
+    sides = np.abs(part.errors[..., 3:5]).max(axis=-1)
+    across = np.abs(part.errors[..., 5]) * part.desired[..., 3:5].mean(axis=-1)
+    return np.asarray(np.maximum(sides, across).max(axis=1))
 
 
 def _path(states: Sequence[FormationState], scenario: Scenario) -> Floats:
