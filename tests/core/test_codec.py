@@ -45,7 +45,7 @@ def test_unknown_fields_are_ignored(example: tuple[str, Message]) -> None:
 def test_no_number_that_is_not_finite_gets_through(example: tuple[str, Message], bad: float) -> None:
     name, message = example
     for changed in with_floats_replaced(as_map(message), bad):
-        with pytest.raises(MessageError, match="not finite|Expected `float`"):
+        with pytest.raises(MessageError, match=r"not finite|Expected `float`"):
             decode(name, msgspec.msgpack.encode(changed))
 
 
@@ -90,7 +90,7 @@ def test_a_message_of_another_topic_is_refused() -> None:
 
 def test_values_that_only_overflow_when_added_are_refused_all_the_same() -> None:
     huge = {"u_mps": 1.7e308, "w_radps": 1.7e308, "active": True}
-    with pytest.raises(MessageError, match="not finite|Expected `float`"):
+    with pytest.raises(MessageError, match="not finite"):
         decode(topics.drive("r1"), msgspec.msgpack.encode(huge))
 
 
