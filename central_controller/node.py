@@ -139,11 +139,11 @@ class CentralController:
                 self._begin(now)
                 elapsed = 0
         elif self._roster.review(self._lost_after, now):
-            self._reorganise()
+            self._reorganise(now)
         self._waits_for = self._roster.waited_for(now)
         views = self._views(now)
         if self._stage == "waiting" or not self._enough or self._faults:
-            self._errors, self._notes = None, ()
+            self._errors, self._notes, self._rate = None, (), 0.0
             return [*self._stand(views), self._state(self._reference(), now)]
         return self._guide(views, elapsed, now)
 
@@ -194,13 +194,17 @@ class CentralController:
             self._exchange(points)
         self._supervisor = self._supervise()
 
-    def _reorganise(self) -> None:
-        """Robots were lost or came back: a new chain over those that are there."""
+    def _reorganise(self, now: Time) -> None:
+        """Robots were lost or came back: a new chain over those that are there. What was being built is built
+        on by straight ways from where they are."""
         there = [member.id for member in self._roster.active]
         for name in there:
             if name not in self._lineup.robots:
                 self._pipelines[name] = self._pipeline(name)
+        building = self._lineup.building
         self._lineup.chain_up(there)
+        if building and self._enough:
+            self._lineup.build(self._own_points(now), self._scenario.planning.speed_mps)
         self._supervisor = self._supervise()
 
     def _guide(self, views: Mapping[str, View], elapsed: Duration, now: Time) -> list[Outgoing]:

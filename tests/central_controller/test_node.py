@@ -10,6 +10,8 @@ from numpy.testing import assert_allclose
 
 from central_controller.node import CONTROL, STAGES, CentralController
 from maniple.control import unicycle
+from maniple.control.builtin import BUILTIN
+from maniple.control.parts import Parts
 from maniple.core import codec, topics
 from maniple.core.geometry import Pose
 from maniple.core.layers import Layer
@@ -105,8 +107,8 @@ def scan(nearest_m: float = 8.0, bearing_rad: float = 0.0) -> Scan:
 class Driver:
     """Speaks for all robots and listens to the controller."""
 
-    def __init__(self, made: Scenario, now: Time = T0) -> None:
-        self.node = CentralController(made)
+    def __init__(self, made: Scenario, now: Time = T0, parts: Parts = BUILTIN) -> None:
+        self.node = CentralController(made, parts)
         self.ids = tuple(robot.id for robot in made.robots)
         self.now = now
         for robot in self.ids:
@@ -740,3 +742,48 @@ def test_a_robot_that_does_not_get_to_its_place_is_not_waited_for_for_ever() -> 
         phases.append(driver.tick(100)[1].phase)
     lasts = 1.875 * 0.1 / 0.1
     assert len(phases) == pytest.approx(10 * (lasts + 5.0), abs=3)
+
+
+def test_a_formation_that_is_being_built_is_built_on_when_a_robot_is_lost_and_when_it_is_back() -> None:
+    """Along straight ways, from where the robots are then."""
+    driver = Driver(scenario(planning=Planning(build="straight", speed_mps=0.01)))
+    off = {"r1": odometry(Pose(0.5, 0.0, 0.0)), "r2": odometry(Pose(0.5, 0.0, 0.0))}
+    others = tuple(name for name in driver.ids if name != "r4")
+
+    def go_on(seconds: float, names: tuple[str, ...]) -> FormationState:
+        for _ in range(round(10 * seconds)):
+            for name in names:
+                driver.say(topics.odometry(name), off.get(name, odometry()))
+            state = driver.tick(100)[1]
+        return state
+
+    assert np.abs(unpack_floats(go_on(0.1, driver.ids).errors)).max() < 1e-6
+    driver.say(topics.HOST_ALIVE, Alive(node="r4", node_incarnation=1, alive=False))
+    state = go_on(3.3, others)
+    assert state.chain == ("r1", "r2", "r3")
+    assert np.abs(unpack_floats(state.errors)).max() < 0.01
+    driver.say(topics.HOST_ALIVE, Alive(node="r4", node_incarnation=1, alive=True))
+    state = go_on(0.2, driver.ids)
+    assert (state.chain, state.phase) == (driver.ids, "forming")
+    assert np.abs(unpack_floats(state.errors)).max() < 0.01
+    assert np.abs(unpack_floats(state.points, 2) - PLACES).max() > 0.4
+
+
+def test_what_stands_because_its_law_has_failed_says_that_it_stands() -> None:
+    class Law:
+        """Fails at the third step."""
+
+        def __init__(self, parameters: Controller) -> None:
+            self.steps = 0
+
+        def rates(self, desired_rates: Any, errors: Any, dt_s: float) -> Any:
+            self.steps += 1
+            return desired_rates if self.steps < 3 else None
+
+    parts = BUILTIN._replace(formation_laws={"mine": Law})
+    driver = Driver(scenario(controller=Controller(law="mine")), parts=parts)
+    for _ in range(4):
+        driver.odometries()
+        commands, state = driver.tick(100)
+    assert (state.phase, state.rate, state.reference_velocity) == ("holding", 0.0, (0.0, 0.0, 0.0))
+    assert {command.values for command in commands.values()} == {(0.0, 0.0)}
