@@ -38,7 +38,7 @@ class VirtualHost:
     ) -> None:
         self.now: Time = VIRTUAL_EPOCH
         self._scenario = scenario
-        self._factories = factories or {}
+        self._factories = dict(factories or {})
         self._incarnations = {node.name: 1 for node in nodes}
         self._latched: dict[str, Envelope] = {}
         self._runners = {node.name: NodeRunner(node, incarnation=1) for node in nodes}
@@ -93,8 +93,9 @@ class VirtualHost:
         self._halt = True
 
     def stop(self, names: Iterable[str]) -> None:
-        """Stop some nodes, in this order."""
+        """Stop some nodes, in this order, for good."""
         for name in names:
+            self._factories.pop(name, None)
             if (runner := self._runners.pop(name, None)) is not None:
                 self._send(runner.stop(self._network.take_decided(name), self.now))
                 self._tell_life(name, False)
@@ -121,6 +122,9 @@ class VirtualHost:
 
     def _restart(self, name: str) -> None:
         """Begin the next life of a node that has died: it gets what is latched."""
+        if name not in self._factories:
+            return
+        self._network.take_decided(name)  # of what nobody was there to receive
         life = self._incarnations[name] = self._incarnations[name] + 1
         runner = self._runners[name] = NodeRunner(self._factories[name](life), life)
         self._start(name)

@@ -143,6 +143,47 @@ def test_the_others_hear_of_it_and_the_new_life_gets_what_is_latched() -> None:
     assert ("r2", 2, True) in news
 
 
+def test_what_is_stopped_while_it_is_dead_stays_so() -> None:
+    said: list[Envelope] = []
+    factories: dict[str, Callable[[int], Node]] = {
+        "r1": lambda _: Reporter("r1"),
+        "r2": lambda _: Reporter("r2"),
+    }
+    scenario = scenario_with(crashes=[{"node": "r2", "at_s": 1.0, "restart_after_s": 2.0}])
+    nodes = [make(1) for make in factories.values()]
+    host = VirtualHost(nodes, scenario, lambda envelope, _: said.append(envelope), factories)
+    host.start()
+    host.run(host.now + 2 * SECOND)
+    host.stop(["r2"])
+    host.run(host.now + 2 * SECOND)
+    assert set(lives_of(said, "r2")) == {1}
+
+
+def test_nothing_is_decided_on_what_a_dead_node_was_sent() -> None:
+    """One whose restart was not to be would receive nothing; nor does one that is between two lives."""
+    said: list[Envelope] = []
+    factories: dict[str, Callable[[int], Node]] = {
+        "r1": lambda _: Reporter("r1"),
+        "controller": lambda _: Answerer(("r1",)),
+    }
+    crash = {"node": "controller", "at_s": 1.0, "restart_after_s": 3.0}
+    scenario = scenario_with(crashes=[crash], faults=[{"latency_s": 0.01}])
+    nodes = [make(1) for make in factories.values()]
+    host = VirtualHost(nodes, scenario, lambda envelope, _: said.append(envelope), factories)
+    host.start()
+    host.run(host.now + 6 * SECOND)
+    host.stop(["controller", "r1"])
+    sent = {(e.incarnation, e.seq): e.stamp_ns for e in said if e.topic == topics.odometry("r1")}
+    when = []
+    for envelope in said:
+        if envelope.topic == topics.DECISIONS and envelope.source == "controller":
+            message = codec.decode(envelope.topic, envelope.data)
+            assert isinstance(message, Decisions)
+            when += [(sent[d.incarnation, d.seq] - VIRTUAL_EPOCH) / SECOND for d in message.decided]
+    assert when
+    assert all(at <= 1.0 or at >= 3.9 for at in when)
+
+
 def test_a_controller_on_a_robot_dies_with_it() -> None:
     said, _ = crashing(6.0, host="r1", node="r1", at_s=2.0)
     assert lives_of(said, "controller")[1][1] == pytest.approx(2.0, abs=0.21)
