@@ -6,6 +6,7 @@ from fnmatch import fnmatchcase
 from itertools import combinations
 
 from maniple.core.errors import ScenarioError
+from maniple.core.faults import dies_with
 from maniple.core.scenario import outline
 from maniple.core.scenario.check_task import FARTHEST_M, TOLERANCE_M, speed_limit, task_problems
 from maniple.core.scenario.parse import type_problems
@@ -156,10 +157,11 @@ def _crashes(scenario: Scenario) -> Iterator[str]:
         if crash.node not in nodes:
             yield f"{path}.node = {crash.node!r}: must be one of {_some(nodes)}"
             continue
-        if crash.at_s <= (until := gone.get(crash.node, -1.0)):
-            back = "for good" if until == math.inf else f"until {until:g} s"
-            yield f"{path}.at_s = {crash.at_s}: {crash.node} is dead already then, {back}"
-        gone[crash.node] = crash.at_s + (crash.restart_after_s or math.inf)
+        for name in dies_with(crash.node, scenario):
+            if crash.at_s <= (until := gone.get(name, -1.0)):
+                back = "for good" if until == math.inf else f"until {until:g} s"
+                yield f"{path}.at_s = {crash.at_s}: {name} is dead already then, {back}"
+            gone[name] = crash.at_s + (crash.restart_after_s or math.inf)
 
 
 def _obstacles(scenario: Scenario) -> Iterator[str]:

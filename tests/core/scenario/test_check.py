@@ -228,6 +228,8 @@ def test_tasks_that_make_sense(data: Data, task: str) -> None:
 def test_one_too_fast_turn_of_the_whole_formation(data: Data) -> None:
     """Places near the origin are slow enough, but nobody turns that fast."""
     data["formation"]["points"] = [[0.05, 0], [0, 0.04], [0, -0.04]]
+    data["supervisor"] = {"enabled": False}
+    data["models"]["cart"] |= {"length_m": 0.03, "width_m": 0.03}
     poses = [f"robots.{k}.pose=[{3 * k}, 5, 0]" for k in range(3)]
     turn = "task={kind='samples', times_s=[0,1], poses=[[0,0,0],[0,0,2]]}"
     (found,) = checked(data, *poses, turn)
@@ -277,6 +279,19 @@ def test_nodes_may_die_more_than_once(data: Data) -> None:
         "crashes=[{node='r1', at_s=1, restart_after_s=5}, {node='controller', at_s=2}, {node='r1', at_s=7}]"
     )
     assert checked(data, twice, "controller.host=r2", "waiting.enabled=true") == []
+
+
+@pytest.mark.parametrize(
+    ("first", "then", "what"),
+    [
+        ("r1", "controller", "controller is dead already then, until 6 s"),
+        ("controller", "r1", "controller is dead already then, until 6 s"),
+    ],
+)
+def test_a_controller_on_a_robot_is_dead_while_that_is(data: Data, first: str, then: str, what: str) -> None:
+    crashes = f"crashes=[{{node='{first}', at_s=1, restart_after_s=5}}, {{node='{then}', at_s=4}}]"
+    assert checked(data, crashes) == []
+    assert checked(data, crashes, "controller.host=r1") == [f"crashes[1].at_s = 4.0: {what}"]
 
 
 def test_a_shape_is_resolved_first(data: Data) -> None:
