@@ -169,6 +169,10 @@ def approaches(starts: Floats, ends: Floats) -> Floats:
     return np.asarray(out)
 
 
+STRAIGHT = 1.875
+"""The largest speed on a straight way over the mean one."""
+
+
 class Straight:
     """The building of a formation: every point from where it is to its place along a straight line.
 
@@ -181,7 +185,7 @@ class Straight:
         self._start = np.array(start, dtype=np.float64)
         self._way = np.asarray(end, dtype=np.float64) - self._start
         longest = float(np.linalg.norm(self._way, axis=1).max())
-        self.duration_s = 1.875 * longest / speed_mps
+        self.duration_s = STRAIGHT * longest / speed_mps
 
     def at(self, t_s: float) -> tuple[Floats, Floats]:
         """The points (n, 2) in m and their velocities (n, 2) in m/s; at rest before 0 and after the end."""
