@@ -11,7 +11,7 @@ from maniple.core.scenario import outline
 from maniple.core.scenario.check_task import FARTHEST_M, TOLERANCE_M, speed_limit, task_problems
 from maniple.core.scenario.parse import type_problems
 from maniple.core.scenario.places import Shape, desired_shapes
-from maniple.core.scenario.types import Obstacle, Polygon, RangeFinder, RobotModel, Scenario, Wall
+from maniple.core.scenario.types import Obstacle, Polygon, PoseXY, RangeFinder, RobotModel, Scenario, Wall
 from maniple.core.topics import TOPICS
 
 RESERVED = ("controller", "simulator", "recorder", "router")
@@ -43,6 +43,7 @@ def problems(scenario: Scenario) -> list[str]:
         return found
     parts = (
         _triangles,
+        _supervised,
         _places,
         task_problems,
         _phases,
@@ -105,6 +106,25 @@ def _triangles(scenario: Scenario) -> Iterator[str]:
                 f"formation.points[{index}:{index + 3}]: the desired triangle {a}, {b}, {c} is singular: "
                 f"{fault}; must differ by more than {TOLERANCE_M} m"
             )
+
+
+def _supervised(scenario: Scenario) -> Iterator[str]:
+    """Triangles that the supervisor would keep from their own shape."""
+    margin = scenario.supervisor.margin_m
+    if not scenario.supervisor.enabled or scenario.planning.relabel:
+        return
+    for index, shape in enumerate(desired_shapes(scenario)):
+        watched = {"p": shape.p, "q": shape.q, "median": shape.median}
+        if scenario.controller.angle == "unsigned":
+            watched["height"] = shape.height
+        kind = min(watched, key=watched.__getitem__)
+        if TOLERANCE_M <= watched[kind] <= margin:
+            yield (
+                f"supervisor.margin_m = {margin}: the desired triangle {', '.join(shape.robots)} "
+                f"(formation.points[{index}:{index + 3}]) is nearer than that to singular; "
+                f"must be < {watched[kind]:.3g}, its {kind}"
+            )
+            return
 
 
 def _singularity(shape: Shape, angle: str) -> str | None:
@@ -180,25 +200,44 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
 
 
 def _bodies(scenario: Scenario) -> Iterator[str]:
-    """Robots that touch each other or an obstacle at the start, by their true outlines."""
-    bodies = []
-    for robot in scenario.robots:
-        model = scenario.model_of(robot)
-        assert robot.pose is not None
-        bodies.append((robot.id, robot.pose, outline.radius(model), outline.body(robot.pose, model)))
-    for (i, (first, a, ra, outline_a)), (j, (second, b, rb, outline_b)) in combinations(enumerate(bodies), 2):
-        if math.dist(a[:2], b[:2]) <= ra + rb and outline.gap(outline_a, outline_b) == 0.0:
-            yield (
-                f"robots[{j}].pose = {_rounded(b)}: {second} touches {first} "
-                f"(robots[{i}], pose {_rounded(a)}) at the start; must be clear of it"
-            )
+    """Robots that touch each other or an obstacle at the start, or each other in the desired formation, by
+    their true outlines."""
+    ids = [robot.id for robot in scenario.robots]
+    poses = [robot.pose for robot in scenario.robots if robot.pose is not None]
+    at_start = list(_touching(scenario, poses))
+    for i, j in at_start:
+        yield (
+            f"robots[{j}].pose = {_rounded(poses[j])}: {ids[j]} touches {ids[i]} "
+            f"(robots[{i}], pose {_rounded(poses[i])}) at the start; must be clear of it"
+        )
     for index, obstacle in enumerate(scenario.world.obstacles):
-        for i, (name, pose, _, corners) in enumerate(bodies):
-            if outline.gap_to(corners, obstacle) == 0.0:
+        for i, (robot, pose) in enumerate(zip(scenario.robots, poses, strict=True)):
+            if outline.gap_to(outline.body(pose, scenario.model_of(robot)), obstacle) == 0.0:
                 yield (
-                    f"robots[{i}].pose = {_rounded(pose)}: {name} touches world.obstacles[{index}] "
+                    f"robots[{i}].pose = {_rounded(pose)}: {ids[i]} touches world.obstacles[{index}] "
                     f"({_kind(obstacle)}) at the start; must be clear of it"
                 )
+    points = scenario.formation.points
+    places = [
+        (x - robot.control_point_m, y, 0.0) for robot, (x, y) in zip(scenario.robots, points, strict=True)
+    ]
+    for i, j in _touching(scenario, places):
+        if (i, j) not in at_start and math.dist(points[i], points[j]) >= TOLERANCE_M:
+            yield (
+                f"formation.points[{j}] = {_rounded(points[j])}: {ids[j]} would touch {ids[i]} there "
+                f"(formation.points[{i}] = {_rounded(points[i])}); must be farther away"
+            )
+
+
+def _touching(scenario: Scenario, poses: Sequence[PoseXY]) -> Iterator[tuple[int, int]]:
+    """Pairs of robots whose bodies would meet at these poses."""
+    models = [scenario.model_of(robot) for robot in scenario.robots]
+    reach = [outline.radius(model) for model in models]
+    bodies = [outline.body(pose, model) for pose, model in zip(poses, models, strict=True)]
+    for i, j in combinations(range(len(poses)), 2):
+        near = math.dist(poses[i][:2], poses[j][:2]) <= reach[i] + reach[j]
+        if near and outline.gap(bodies[i], bodies[j]) == 0.0:
+            yield i, j
 
 
 def _models(scenario: Scenario) -> Iterator[str]:

@@ -370,6 +370,34 @@ def test_a_line_of_robots_is_singular_only_for_the_unsigned_angle(data: Data) ->
     assert len(checked(data, "controller.angle=unsigned")) == 1
 
 
+@pytest.mark.parametrize(
+    ("points", "kind", "size"),
+    [
+        ([[0, 0], [0.6, 0], [0, 0.8]], "median", 0.5),
+        ([[0, 0], [0.6, 0], [0.9, 0.8]], "p", 0.6),
+        ([[0, 0], [0.9, 0.8], [0.6, 0]], "q", 0.6),
+    ],
+)
+def test_the_supervisor_lets_the_desired_shape_be(
+    data: Data, points: list[list[float]], kind: str, size: float
+) -> None:
+    data["formation"]["points"] = points
+    assert checked(data, f"supervisor.margin_m={size - 0.001}") == []
+    assert checked(data, f"supervisor.margin_m={size + 0.001}", "supervisor.enabled=false") == []
+    (found,) = checked(data, f"supervisor.margin_m={size + 0.001}")
+    assert found == (
+        f"supervisor.margin_m = {size + 0.001}: the desired triangle r1, r2, r3 (formation.points[0:3]) "
+        f"is nearer than that to singular; must be < {size}, its {kind}"
+    )
+
+
+def test_the_supervisor_watches_the_height_for_the_unsigned_angle_only(data: Data) -> None:
+    data["formation"]["points"] = [[0, 0], [1, 0.3], [2, 0]]
+    assert checked(data, "supervisor.margin_m=0.5") == []
+    (found,) = checked(data, "supervisor.margin_m=0.5", "controller.angle=unsigned")
+    assert found.endswith("must be < 0.3, its height")
+
+
 def test_every_triangle_of_the_chain_is_looked_at(data: Data) -> None:
     data["robots"] = SIX
     data["formation"]["points"] = [[0, 0], [1, 1], [2, 0], [3, 1], [4, 0], [2, 2]]
@@ -386,6 +414,20 @@ def test_bodies_are_rectangles_not_discs(data: Data) -> None:
     assert checked(data, *beside) == []
     turned = [f"robots.{k}.pose=[0, {0.41 * k}, {math.pi / 2}]" for k in range(3)]
     assert len(checked(data, *turned)) == 2
+
+
+def test_bodies_touch_in_the_desired_formation(data: Data) -> None:
+    """Facing along it, wherever they start."""
+    spread = [f"robots.{k}.pose=[{3 * k}, 5, 0]" for k in range(3)]
+    data["formation"]["points"] = [[0, 0.41], [0, 0], [0.51, 0]]
+    assert checked(data, *spread) == []
+    data["formation"]["points"] = [[0, 0.41], [0, 0], [0.49, 0]]
+    assert checked(data, *spread) == [
+        "formation.points[2] = [0.49, 0.0]: r3 would touch r2 there (formation.points[1] = [0.0, 0.0]); "
+        "must be farther away"
+    ]
+    (found,) = checked(data)
+    assert "at the start" in found
 
 
 def test_touching_is_overlapping(data: Data) -> None:
