@@ -68,6 +68,7 @@ def _add_options(name: str, command: ArgumentParser) -> None:
         command.add_argument("--scenario", help="for the prefix of the keys; - reads standard input")
         command.add_argument("--listen", default=LOCAL, help="where to listen (default: %(default)s)")
         command.add_argument("--prefix", default="maniple", help="of the keys, without a scenario")
+        command.add_argument("--anchor", help="EPOCH:MONOTONIC:SPEED, a clock for those who join")
         return
     environment = os.environ
     command.add_argument("--scenario", required=True, help="scenario file; - reads JSON from standard input")
@@ -77,7 +78,9 @@ def _add_options(name: str, command: ArgumentParser) -> None:
         help="router of the fleet network, or MANIPLE_CONNECT (default: %(default)s)",
     )
     command.add_argument(
-        "--anchor", help="EPOCH:MONOTONIC:SPEED, the clock of a run that others take part in"
+        "--anchor",
+        help="EPOCH:MONOTONIC:SPEED, the clock of a run that others take part in; by default "
+        + ("the wall clock" if name == "recorder" else "the router tells"),
     )
     if name != "controller":
         command.add_argument(
@@ -128,10 +131,11 @@ def _run_node(
 ) -> None:
     from maniple.cli.nodes import factories
     from maniple.host.realtime import RealtimeHost
-    from maniple.host.router import next_incarnation
+    from maniple.host.router import clock_of, next_incarnation
 
-    clock = _clock(anchor)
+    told = _clock(anchor)
     with _networks(scenario, connect, hardware) as (fleet, wired):
+        clock = told or clock_of(fleet)
         life = incarnation if incarnation is not None else next_incarnation(fleet, name)
         host = RealtimeHost(factories(scenario)[name](life), life, scenario, clock, fleet, wired)
         with on_interrupt(host.stop):
@@ -146,7 +150,7 @@ def _recorder(scenario: str, log: Path, connect: str, hardware: str | None, anch
     from maniple.recording.writer import RecordingWriter
 
     resolved, watch = _scenario(scenario)
-    clock = _clock(anchor)
+    clock = _clock(anchor) or Anchor.here()
     writer = RecordingWriter(
         log,
         to_json(resolved),
@@ -161,9 +165,10 @@ def _recorder(scenario: str, log: Path, connect: str, hardware: str | None, anch
             host.run()
 
 
-def _router(scenario: str | None, listen: str, prefix: str) -> None:
+def _router(scenario: str | None, listen: str, prefix: str, anchor: str | None) -> None:
     from maniple.host.router import RouterHost
 
+    clock = _clock(anchor)
     watch: Watch = _nobody
     if scenario is None:
         links = parameters_of(Links, {"prefix": prefix})
@@ -173,7 +178,7 @@ def _router(scenario: str | None, listen: str, prefix: str) -> None:
     with ZenohSession.router(listen, links.prefix) as session:
         sys.stdout.write(f"listening on {listen}\n")
         sys.stdout.flush()
-        host = RouterHost(session)
+        host = RouterHost(session, clock)
         with on_interrupt(host.stop):
             watch(host.stop)
             host.run()
@@ -193,9 +198,9 @@ def _networks(
                 yield fleet, wired
 
 
-def _clock(anchor: str | None) -> Anchor:
+def _clock(anchor: str | None) -> Anchor | None:
     try:
-        return Anchor.here() if anchor is None else Anchor.parse(anchor)
+        return None if anchor is None else Anchor.parse(anchor)
     except ValueError:
         raise ArgumentError(f"--anchor {anchor}: must be EPOCH:MONOTONIC:SPEED") from None
 

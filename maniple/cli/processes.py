@@ -42,7 +42,7 @@ def table(scenario: Scenario, connect: str, anchor: str, log: str) -> tuple[tupl
     common = ("--scenario", "-", "--connect", connect, "--anchor", anchor)
     life = ("--incarnation", str(LIFE))
     return (
-        (Process("router", ("router", "--scenario", "-", "--listen", connect)),),
+        (Process("router", ("router", "--scenario", "-", "--listen", connect, "--anchor", anchor)),),
         (Process("recorder", ("recorder", *common, "--log", log)),),
         (
             Process("simulator", ("simulator", *common, *life)),

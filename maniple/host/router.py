@@ -1,4 +1,5 @@
-"""The router: relays everything, keeps the last value of every latched topic, and numbers lives."""
+"""The router: relays everything, keeps the last value of every latched topic, numbers lives, and tells who
+joins a run what time it is there."""
 
 import threading
 import time
@@ -6,9 +7,11 @@ import time
 from maniple.core import topics
 from maniple.core.envelope import Envelope, envelope_of
 from maniple.core.errors import MessageError, TransportError
+from maniple.host.clock import Anchor
 from maniple.transport.zenoh import ZenohSession
 
 _POLL_S = 0.2
+_CLOCK = "clock"
 
 PATIENCE_S = 5.0
 """How long a stopped router goes on for those who still have something to say, wall time."""
@@ -55,8 +58,8 @@ class Lives:
         return {name: str(self._highest.get(node, 0) + 1).encode()}
 
 
-def serve(session: ZenohSession) -> None:
-    """Make a router session keep and serve latched values and incarnations."""
+def serve(session: ZenohSession, clock: Anchor | None = None) -> None:
+    """Make a router session keep and serve latched values and incarnations, and the clock of a run."""
     store = LatchedStore()
     lives = Lives()
     for row in topics.TOPICS:
@@ -66,6 +69,8 @@ def serve(session: ZenohSession) -> None:
             session.serve(expression, store.answer)
     session.watch(lambda node, incarnation, _: lives.seen(node, incarnation))
     session.serve("incarnation/*", lives.answer)
+    if clock is not None:
+        session.serve(_CLOCK, lambda name: {name: f"{clock.now()}:{clock.speed!r}".encode()})
     session.announce("router", 1)
 
 
@@ -86,11 +91,23 @@ def next_incarnation(session: ZenohSession, node: str, patience_s: float = 3.0) 
     return int(next(iter(answers.values()), b"1"))
 
 
+def clock_of(session: ZenohSession) -> Anchor:
+    """The clock of the run that a router belongs to, as exact as its answer is fast; without one, the wall
+    clock."""
+    asked = time.monotonic_ns()
+    answers = session.ask(_CLOCK)
+    if not answers:
+        return Anchor.here()
+    now, speed = answers[_CLOCK].decode().split(":")
+    return Anchor.parse(f"{now}:{(asked + time.monotonic_ns()) // 2}:{speed}")
+
+
 class RouterHost:
     """Runs a router until it is stopped and everybody else has left, or has had the time to."""
 
-    def __init__(self, session: ZenohSession) -> None:
+    def __init__(self, session: ZenohSession, clock: Anchor | None = None) -> None:
         self._session = session
+        self._clock = clock
         self._alive: set[tuple[str, int]] = set()
         self._changed = threading.Event()
         self._stopping = threading.Event()
@@ -101,7 +118,7 @@ class RouterHost:
 
     def run(self, patience_s: float = PATIENCE_S) -> None:
         """Serve until `stop`, then until all others are gone, `patience_s` at most."""
-        serve(self._session)
+        serve(self._session, self._clock)
         self._session.watch(self._life)
         while not self._stopping.wait(1.0):
             pass

@@ -5,7 +5,8 @@ import pytest
 
 from maniple.core import codec
 from maniple.core.errors import TransportError
-from maniple.host.router import LatchedStore, Lives, RouterHost, next_incarnation
+from maniple.host.clock import Anchor
+from maniple.host.router import LatchedStore, Lives, RouterHost, clock_of, next_incarnation, serve
 from maniple.transport.zenoh import ZenohSession
 from tests.host.nodes import odometry
 from tests.transport.test_zenoh import DEADLINE_S, free_port
@@ -62,3 +63,18 @@ def test_a_late_joiner_gets_what_is_latched_from_a_real_router() -> None:
         with ZenohSession.client(endpoint, "test") as late:
             assert late.ask(TOPIC, DEADLINE_S) == {TOPIC: message(5)}
             assert next_incarnation(late, "r1") == 2
+
+
+@pytest.mark.parametrize("speed", [3.0, None])
+def test_who_joins_a_run_has_its_clock(speed: float | None) -> None:
+    """As exact as the answer is fast; the wall clock if the router was given none."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    clock = Anchor.here(1.0 if speed is None else speed)
+    if speed is not None:
+        clock = msgspec.structs.replace(clock, epoch_ns=clock.epoch_ns + 10**12)
+    with ZenohSession.router(endpoint, "test") as router:
+        serve(router, None if speed is None else clock)
+        with ZenohSession.client(endpoint, "test") as late:
+            joined = clock_of(late)
+    assert joined.speed == clock.speed
+    assert abs(joined.at(joined.monotonic_ns) - clock.at(joined.monotonic_ns)) < 2e9 * clock.speed
