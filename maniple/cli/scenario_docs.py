@@ -137,10 +137,20 @@ def _default(field: inspect.Field) -> str:
         given = msgspec.structs.asdict(value)
         if given == own:
             return "as below"
-        return "`{ " + ", ".join(f"{name} = {number}" for name, number in given.items()) + " }`"
+        return f"`{_toml(given)}`"
     if value is None or value is msgspec.NODEFAULT or value == ():
         return "none"
     return f"`{msgspec.json.encode(value).decode()}`"
+
+
+def _toml(value: object) -> str:
+    """An inline table, list or scalar; what TOML can't say, that there is nothing, is left out."""
+    if isinstance(value, msgspec.Struct):
+        value = msgspec.structs.asdict(value)
+    if isinstance(value, dict):
+        pairs = [f"{name} = {_toml(one)}" for name, one in value.items() if one is not None]
+        return "{ " + ", ".join(pairs) + " }" if pairs else "{}"
+    return msgspec.json.encode(value).decode()
 
 
 def _one_line(text: str) -> str:
