@@ -106,7 +106,7 @@ class Platoon:
         self._children: dict[str, Child] = {}
         self._expected: dict[str, int] = {}
         self._buried: set[str] = set()
-        self._guests: set[str] = set()
+        self._guests: dict[str, int] = {}
         self._crashes = sorted(scenario.crashes, key=lambda crash: crash.at_s)
         self._restarts: list[tuple[float, str]] = []
         self._lives: SimpleQueue[tuple[str, int, bool]] = SimpleQueue()
@@ -201,15 +201,17 @@ class Platoon:
 
         Raises:
             Empty: none does within the time.
-            RunError: a node that takes the place of a living one of this run.
+            RunError: a node that takes the place of a living one of this run, or too few robots are left.
         """
         node, life, alive = self._lives.get(timeout=timeout_s)
         if node not in self._children or life == self._expected[node]:
             return node
         if not alive:
-            self._guests.discard(node)
+            if self._guests.get(node) == life:
+                del self._guests[node]
+                self._go_on(f"{node} is gone again (incarnation {life})")
         elif node in self._robots and not self._children[node].alive:
-            self._guests.add(node)
+            self._guests[node] = life
             self._notice(f"{node} is back (incarnation {life})")
         else:
             raise RunError(
@@ -224,6 +226,9 @@ class Platoon:
             for topic, data in _drain(self._inbox):
                 with contextlib.suppress(MessageError):
                     self._watch.add(codec.decode(topic, data))
+        self._listen_to_lives()
+
+    def _listen_to_lives(self) -> None:
         while not self._lives.empty():
             self._next_life(_POLL_S)
 
@@ -241,11 +246,26 @@ class Platoon:
         dead = {name for name, child in self._children.items() if not child.alive}
         for name in sorted(dead - self._buried):
             self._buried.add(name)
-            comes_back = any(robot == name for _, robot in self._restarts)
-            left = len(self._robots - dead | self._guests) + comes_back
-            if not comes_back and (name not in self._robots or left < LEAST):
-                raise RunError(self._children[name].epitaph())
-            self._notice(f"{self._children[name].epitaph()}; {left} robots go on")
+            epitaph = self._children[name].epitaph()
+            if name in self._robots:
+                self._go_on(epitaph)
+            elif any(name == node for _, node in self._restarts):
+                self._notice(f"{epitaph}; it will be back")
+            else:
+                raise RunError(epitaph)
+
+    def _go_on(self, without: str) -> None:
+        """Say who is gone and how many are left; robots that the scenario brings back are waited for.
+
+        Raises:
+            RunError: too few are left.
+        """
+        here = {name for name in self._robots if self._children[name].alive} | self._guests.keys()
+        back = {name for _, name in self._restarts if name in self._robots} - here
+        if len(here) + len(back) < LEAST:
+            raise RunError(without)
+        later = f", {len(back)} will be back" if back else ""
+        self._notice(f"{without}; {len(here)} robots go on{later}")
 
     def _play_fate(self, now_s: float) -> None:
         """Kill and restart what the scenario says, `now_s` of scenario time after the start."""
@@ -257,6 +277,9 @@ class Platoon:
                     self._restarts.append((crash.at_s + crash.restart_after_s, name))
         for due in [entry for entry in self._restarts if entry[0] <= now_s]:
             self._restarts.remove(due)
+            if due[1] in self._guests:
+                continue  # somebody was faster
+            self._children[due[1]].finish(0.0)
             life = self._expected[due[1]] + 1
             self._spawn(self._processes[due[1]].again(life), life)
             self._notice(f"{due[1]} is started again (incarnation {life})")
