@@ -348,7 +348,7 @@ class Controller(Parameters, frozen=True, kw_only=True):
     local, it ends with it, and works in its odometry frame. By default a computer of its own."""
     lost_after_s: PositiveSeconds = 3.0
     """A robot that has been gone, silent or out of control for this long is lost: the others go on without
-    it. At least `stop_after_s` of the guard is waited for those that only hold."""
+    it. One that only holds, by its guard, is waited for as long as that lasts."""
 
 
 class Waiting(Parameters, frozen=True, kw_only=True):
