@@ -340,9 +340,6 @@ class CentralController:
 
     def _retask(self, scenario: Scenario) -> None:
         """Begin another task, from where the reference is."""
-        if self._stage == "waiting":
-            self._mission = Mission(scenario.task, scenario.controller)
-            return
         pose = self._mission.reference(0.0).pose
         speed, reach = scenario.planning.speed_mps, self._lineup.reach_m
         self._mission = Mission(from_here(scenario.task, pose, speed, reach), scenario.controller)

@@ -568,6 +568,21 @@ def test_another_task_begins_where_the_reference_is() -> None:
     assert driver.tick(100)[1].phase == "done"
 
 
+def test_another_task_that_comes_before_everybody_is_there_begins_where_the_first_would_have() -> None:
+    driver = Driver(scenario())
+    wanted = Line(start=(2.0, 1.0), end=(2.0, 3.0), speed_mps=0.1)
+    driver.say(topics.FORMATION_GOAL, Goal(id="early", task=wanted))
+    _, state = driver.tick(100)
+    assert (state.phase, state.goal_refused, state.reference) == ("waiting", "", (0.0, 0.0, 0.0))
+    driver.odometries()
+    _, state = driver.tick(100)
+    assert (state.phase, state.reference) == ("running", pytest.approx((0.0, 0.0, 0.0)))
+    while state.phase == "running":
+        driver.odometries()
+        _, state = driver.tick(500)
+    assert state.reference == pytest.approx((2.0, 3.0, math.pi / 2))
+
+
 def test_after_the_end_there_may_be_another_task() -> None:
     driver = Driver(scenario())
     for _ in range(150):
