@@ -76,6 +76,7 @@ def check(
     chosen = _kind(kind)
     made = implementation(chosen, name, "NAME")
     subject = _subject(None if scenario is None else load(scenario), chosen, _options(options or []))
+    _accepted(chosen, name, made, subject)
     findings = findings_of(chosen, made, subject)
     good = all(finding.holds for finding in findings)
     if as_json:
@@ -107,6 +108,24 @@ def findings_of(kind: Kind, made: Any, subject: Subject) -> list[Finding]:
             return conformance.avoidance(made, subject.avoidance, subject.model)
         case "compensation":
             return conformance.compensation(made, subject.compensation, subject.model)
+
+
+def _accepted(kind: Kind, name: str, made: Any, subject: Subject) -> None:
+    """Say once, not for every property, that a layer refuses its parameters."""
+    arguments: dict[Kind, tuple[Any, ...]] = {
+        "formation-law": (subject.controller,),
+        "kinematics": (subject.model, subject.control_point_m),
+        "avoidance": (subject.avoidance, subject.model),
+        "compensation": (subject.compensation, subject.model),
+    }
+    if kind not in arguments:
+        return
+    try:
+        made(*arguments[kind])
+    except ValueError as error:
+        raise ArgumentError(f"{kind} {name} refuses its parameters: {error}") from None
+    except Exception:  # noqa: BLE001 - a fault of the layer, which its suite shows
+        return
 
 
 def _kind(text: str) -> Kind:

@@ -15,7 +15,7 @@ from maniple.cli.extensions import installed, parts_of, require_layers
 from maniple.cli.loading import load
 from maniple.cli.program import app
 from maniple.control.avoidance import Impedances
-from maniple.core.errors import ScenarioError
+from maniple.core.errors import ArgumentError, ScenarioError
 from maniple.core.messages import FormationState, Status
 from maniple.core.scenario.types import Avoidance, Compensation, Scenario
 from maniple.recording.reader import read
@@ -87,6 +87,12 @@ def test_the_guides_example_stops_in_front_of_the_wall(wall: Path, tmp_path: Pat
     left_out = ["avoidance.enabled=false"]
     hit = maniple.run(wall, virtual=True, duration_s=20.0, log=logs[2], overrides=left_out)
     assert hit.collisions > 0, "nothing stops them without the layer"
+
+
+def test_options_that_can_not_be_used_are_refused_once_by_the_check() -> None:
+    result = CliRunner().invoke(app, ["layer", "check", "avoidance", "impedance", "--option", "x=1"])
+    assert isinstance(result.exception, ArgumentError)
+    assert str(result.exception) == "avoidance impedance refuses its parameters: options x: it takes none"
 
 
 def test_options_that_can_not_be_used_are_refused_before_anything_moves(wall: Path, tmp_path: Path) -> None:

@@ -221,8 +221,10 @@ def _bodies(scenario: Scenario) -> Iterator[str]:
     places = [
         (x - robot.control_point_m, y, 0.0) for robot, (x, y) in zip(scenario.robots, points, strict=True)
     ]
+    told = set()
     for i, j in _touching(scenario, places):
-        if (i, j) not in at_start and math.dist(points[i], points[j]) >= TOLERANCE_M:
+        if j not in told and (i, j) not in at_start and math.dist(points[i], points[j]) >= TOLERANCE_M:
+            told.add(j)
             yield (
                 f"formation.points[{j}] = {_rounded(points[j])}: {ids[j]} would touch {ids[i]} there "
                 f"(formation.points[{i}] = {_rounded(points[i])}); must be farther away"
