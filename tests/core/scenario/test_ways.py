@@ -215,7 +215,7 @@ def test_a_figure_eight_starts_at_its_centre_and_goes_to_the_first_loop_first() 
 )
 def test_samples_are_joined_as_scipy_does(gaps: list[float], xs: list[float], share: float) -> None:
     times = np.concatenate([[0.0], np.cumsum(gaps)])
-    values = np.array(xs[: len(times)])
+    values = np.round(xs[: len(times)], 9)  # SciPy divides by slopes
     way = way_of(Samples(times_s=tuple(times), poses=tuple((x, -2 * x, 0.0) for x in values)))
     t = share * way.travel_s
     oracle = PchipInterpolator(times, values)
