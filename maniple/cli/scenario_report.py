@@ -157,8 +157,8 @@ def picture(plan: Plan) -> Group:
     """The plan as text and tables."""
     onboard = ", ".join(onboard_layers(plan.robot_from)) or "only the guard"
     head = (
-        f"{plan.scenario}: {len(plan.robots)} robots, {len(plan.triangles)} triangles, "
-        f"{plan.obstacles} obstacles, seed {plan.seed}\n"
+        f"{plan.scenario}: {len(plan.robots)} robots, {_count(len(plan.triangles), 'triangle')}, "
+        f"{_count(plan.obstacles, 'obstacle')}, seed {plan.seed}\n"
         f"task: {_task_text(plan)}\n"
         f"on the robots: {onboard}\n" + "".join(f"{note}\n" for note in plan.notes)
     )
@@ -318,6 +318,10 @@ def _robots_table(robots: Sequence[RobotPlan]) -> Table:
             f"{robot.hold_after_s:.2f}, {robot.stop_after_s:.2f}",
         )
     return table
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" + ("" if number == 1 else "s")
 
 
 def _triangles_table(triangles: Sequence[TrianglePlan]) -> Table:
