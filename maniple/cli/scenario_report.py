@@ -107,6 +107,8 @@ class Plan(msgspec.Struct, frozen=True):
     fastest_place_mps: float
     """Of all places of the formation, on the outside of turns too."""
     robot_from: Layer
+    laws: tuple[str, ...]
+    """Each layer that has gains, with these."""
     notes: tuple[str, ...]
     """What else is not as by default: planning, waiting, deaths, where the controller runs."""
     obstacles: int
@@ -129,6 +131,7 @@ def plan_of(scenario: Scenario) -> Plan:
         duration_s=math.fsum(leg.duration_s for leg in legs),
         legs=legs,
         fastest_place_mps=fastest_place_mps(scenario),
+        laws=tuple(_laws(scenario)),
         notes=tuple(_notes(scenario)),
         robot_from=scenario.placement.robot_from,
         obstacles=len(scenario.world.obstacles),
@@ -160,7 +163,7 @@ def picture(plan: Plan) -> Group:
         f"{plan.scenario}: {len(plan.robots)} robots, {_count(len(plan.triangles), 'triangle')}, "
         f"{_count(plan.obstacles, 'obstacle')}, seed {plan.seed}\n"
         f"task: {_task_text(plan)}\n"
-        f"on the robots: {onboard}\n" + "".join(f"{note}\n" for note in plan.notes)
+        f"on the robots: {onboard}\n" + "".join(f"{note}\n" for note in (*plan.laws, *plan.notes))
     )
     faults = _links_table(plan.links) if plan.links else Text("no faults on any link")
     parts: list[RenderableType] = [Text(head), _robots_table(plan.robots), Text()]
@@ -246,6 +249,30 @@ def _notes(scenario: Scenario) -> Iterator[str]:
     for crash in scenario.crashes:
         back = "" if crash.restart_after_s is None else f", and is back {crash.restart_after_s:g} s later"
         yield f"{crash.node} dies at {crash.at_s:g} s{back}"
+
+
+def _laws(scenario: Scenario) -> Iterator[str]:
+    """The layers that have gains, with these."""
+    law, shell, drives = scenario.controller, scenario.avoidance, scenario.compensation
+    kappa, limit = (_gains(gain) for gain in (law.kappa, law.saturation))
+    yield f"formation law {law.law}: kappa {kappa}, L {limit}, {law.angle} angle"
+    if shell.enabled:
+        impedances = ", ".join(
+            f"{name} {z.inertia:g} {z.damping:g} {z.stiffness:g}"
+            for name, z in (("u", shell.linear), ("w", shell.angular))
+        )
+        yield (
+            f"avoidance {shell.law}: b {shell.b:g}, d_min {shell.d_min_m:g} m, d_max {shell.d_max_m:g} m, "
+            f"I B K of {impedances}"
+        )
+    else:
+        yield "no avoidance"
+    yield f"compensation {drives.law}" if drives.enabled else "no compensation"
+    yield "the guard keeps clear of what it sees" if scenario.guard.clearance else "no clearance in the guard"
+
+
+def _gains(gain: float | tuple[float, ...]) -> str:
+    return " ".join(f"{one:g}" for one in (gain if isinstance(gain, tuple) else (gain,)))
 
 
 def _robot_plan(scenario: Scenario, index: int) -> RobotPlan:

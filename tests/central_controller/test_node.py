@@ -71,6 +71,7 @@ def scenario(robot_from: Layer = "kinematics", **changes: Any) -> Scenario:
         formation=Formation(points=PLACES),
         task=Line(start=(0.0, 0.0), end=(1.0, 0.0), speed_mps=0.1, settle_s=2.0),
         placement=Placement(robot_from=robot_from),
+        controller=Controller(lost_after_s=3.0),
         models={"pioneer-3dx": PIONEER},
         sensors={"sick-lms200": SICK},
     )

@@ -346,7 +346,7 @@ class Controller(Parameters, frozen=True, kw_only=True):
     host: Name | None = None
     """The robot whose computer the controller runs on, as in the paper's experiments: its links to it are
     local, it ends with it, and works in its odometry frame. By default a computer of its own."""
-    lost_after_s: PositiveSeconds = 3.0
+    lost_after_s: PositiveSeconds = 5.0
     """A robot that has been gone, silent or out of control for this long is lost: the others go on without
     it. One that only holds, by its guard, is waited for as long as that lasts."""
 
