@@ -34,6 +34,8 @@ class Pipeline:
         model = scenario.model_of(robot)
         self.fault = ""
         """Why the pipeline has ended; empty while it has not."""
+        self.compensation: tuple[float, ...] = ()
+        """What the compensation has learnt of the drive; empty without one and after a failure."""
         self._kinematics: Kinematics | None = None
         self._avoidance: AvoidanceLaw | None = None
         self._compensation: CompensationLaw | None = None
@@ -49,11 +51,7 @@ class Pipeline:
         if "compensation" in layers and scenario.compensation.enabled:
             compensate = chosen(parts.compensation, scenario.compensation.law, "compensation.law")
             self._compensation = made("compensation", compensate, scenario.compensation, model)
-
-    @property
-    def compensation(self) -> tuple[float, ...]:
-        """What the compensation has learnt of the drive; empty without one."""
-        return () if self._compensation is None or self.fault else self._compensation.parameters
+            self.compensation = made("compensation", learnt, self._compensation)
 
     def step(
         self,
@@ -85,8 +83,10 @@ class Pipeline:
             if self._compensation is not None:
                 layer = "compensation"
                 velocity = sound(self._compensation.step(velocity, measured, free, dt_s))
+                self.compensation = learnt(self._compensation)
         except Exception as error:  # noqa: BLE001 - a user's layer may raise anything
             self.fault = f"{layer} failed: {type(error).__name__}: {error}"
+            self.compensation = ()
             return _STANDING
         return velocity
 
@@ -104,3 +104,15 @@ def sound(velocity: Velocity) -> Velocity:
     if not math.isfinite(u + w + v) and not all(map(math.isfinite, (u, w, v))):
         raise ValueError(f"gave u = {u}, w = {w}, v = {v}; must be finite")
     return Velocity(u, w, v)
+
+
+def learnt(law: CompensationLaw) -> tuple[float, ...]:
+    """What a compensation has learnt, as plain numbers.
+
+    Raises:
+        ValueError: its `parameters` are no numbers.
+    """
+    try:
+        return tuple(map(float, law.parameters))
+    except (TypeError, ValueError):
+        raise ValueError(f"has the parameters {law.parameters!r}; must be numbers") from None

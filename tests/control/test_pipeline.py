@@ -150,6 +150,37 @@ def test_a_layer_that_fails_ends_in_a_stand_with_a_reason(gives: object, why: st
     assert layers.step((0.2, 0.1, 0.0), 0.0, None, STANDING, 0.1) == STANDING, "for good"
 
 
+class Learning:
+    """A user's compensation, which shows `counts` one after the other."""
+
+    def __init__(self, counts: Sequence[Any]) -> None:
+        self.counts = list(counts)
+
+    @property
+    def parameters(self) -> Any:
+        return self.counts.pop(0)
+
+    def step(self, desired: Velocity, *_: object) -> Velocity:
+        return desired
+
+
+def learning(*counts: Any) -> Pipeline:
+    users = BUILTIN._replace(compensation={"mine": lambda *_: Learning(counts)})
+    return pipeline(["compensation"], users, compensation=Compensation(enabled=True, law="mine"))
+
+
+def test_what_a_users_compensation_learns_is_plain_numbers_or_a_fault() -> None:
+    layers = learning([3], np.array([1, 2]), ["much"], "shown")
+    assert layers.compensation == (3.0,)
+    assert layers.step((0.2, 0.1, 0.0), 0.0, None, STANDING, 0.1) == (0.2, 0.1, 0.0)
+    assert list(map(repr, layers.compensation)) == ["1.0", "2.0"]
+    assert layers.step((0.2, 0.1, 0.0), 0.0, None, STANDING, 0.1) == STANDING
+    assert layers.fault.startswith("compensation failed: ValueError: has the parameters 'shown'")
+    assert not layers.compensation
+    with pytest.raises(ScenarioError, match=r"compensation: .*IndexError"):
+        learning()
+
+
 def test_numbers_of_any_kind_are_taken() -> None:
     told = slow(lambda _: np.array([1, 2, 3])).step((0.2, 0.1, 0.0), 0.0, SEEN, STANDING, 0.1)
     assert told == (1.0, 2.0, 3.0)
