@@ -15,7 +15,7 @@ from central_controller.triangle import f
 from maniple.core.geometry import Floats, Pose, wrap_array
 from maniple.core.messages import FormationState, Truth, unpack_floats
 from maniple.core.scenario.types import Scenario
-from maniple.core.time import SECOND, Time
+from maniple.core.time import Time
 from maniple.report.samples import Stamps
 
 WORLD = "world"
@@ -29,8 +29,7 @@ class Ground(NamedTuple):
     poses: Floats
     """(k, n, 3): middle of the axle in the world, m, m, rad."""
     velocities: Floats
-    """(k, n, 3): u, w and v (m/s, rad/s, m/s to the left). Where messages do not tell v it is how the poses
-    change."""
+    """(k, n, 3): u, w and v (m/s, rad/s, m/s to the left); v is 0 where no robot can go sideways."""
     clearances: Floats
     """(k, n), m."""
 
@@ -57,13 +56,11 @@ def ground_of(truths: Sequence[Truth], scenario: Scenario) -> Ground:
     for row, truth in enumerate(truths):
         here = [index for index, name in enumerate(ids) if name in truth.robots]
         there = here if truth.robots == ids else [truth.robots.index(ids[index]) for index in here]
-        moving = unpack_floats(truth.velocities).reshape(len(truth.robots), -1)
         poses[row, here] = unpack_floats(truth.poses, 3)[there]
-        velocities[row, here, : moving.shape[1]] = moving[there]
+        velocities[row, here, :2] = unpack_floats(truth.velocities, 2)[there]
+        velocities[row, here, 2] = unpack_floats(truth.sideways)[there] if truth.sideways else 0.0
         clearances[row, here] = unpack_floats(truth.clearances)[there]
     stamps = np.array([truth.stamp_ns for truth in truths], dtype=np.int64)
-    if np.isnan(velocities[..., 2]).all():
-        velocities[..., 2] = _sideways(stamps, poses)
     return Ground(stamps, poses, velocities, clearances)
 
 
@@ -191,15 +188,6 @@ def _stretch(
     actual = (actual - origin[:2]) @ np.array([[c, -s], [s, c]])
     wanted = f(_triangles(desired))
     return Stretch(chain, ground.stamps[rows], wanted, differences(wanted, f(_triangles(actual))))
-
-
-def _sideways(stamps: Stamps, poses: Floats) -> Floats:
-    """Speed to the left (k, n), m/s, of poses (k, n, 3) over time; NaN where that is not known."""
-    if len(stamps) < 2 or (np.diff(stamps) <= 0).any():
-        return np.full(poses.shape[:2], np.nan)
-    change = np.gradient(poses[..., :2], (stamps - stamps[0]) / SECOND, axis=0)
-    psi = poses[..., 2]
-    return np.asarray(change[..., 1] * np.cos(psi) - change[..., 0] * np.sin(psi))
 
 
 def _triangles(points: Floats) -> Floats:

@@ -10,7 +10,6 @@ from maniple.cli.loading import completed
 from maniple.core.geometry import Pose
 from maniple.core.messages import Truth, pack_floats
 from maniple.core.scenario.types import Scenario
-from maniple.core.time import SECOND
 from maniple.report.truth import (
     control_points,
     differences,
@@ -32,40 +31,30 @@ def scenario() -> Scenario:
     return completed(msgspec.convert(table, Scenario))
 
 
-def truth(robots: tuple[str, ...], columns: int) -> Truth:
+def truth(robots: tuple[str, ...], *, sideways: bool) -> Truth:
     numbers = np.arange(len(robots), dtype=float)
     return Truth(
         stamp_ns=5,
         robots=robots,
         poses=pack_floats(np.outer(numbers, [1, 2, 3])),
-        velocities=pack_floats(np.outer(numbers, [1, 10, 100][:columns])),
+        velocities=pack_floats(np.outer(numbers, [1, 10])),
+        sideways=pack_floats(100 * numbers) if sideways else b"",
         clearances=pack_floats(numbers),
         collisions=0,
     )
 
 
-@pytest.mark.parametrize("columns", [2, 3])
-def test_robots_in_the_order_of_the_scenario(scenario: Scenario, columns: int) -> None:
-    """Sideways speed may be there or not; of a robot that is not there nothing is known."""
-    ground = ground_of([truth(("r3", "r1"), columns), truth(("r1", "r2", "r3"), columns)], scenario)
+@pytest.mark.parametrize("sideways", [True, False])
+def test_robots_in_the_order_of_the_scenario(scenario: Scenario, sideways: bool) -> None:
+    """Sideways speed is told where some robot can; of a robot that is not there nothing is known."""
+    told = [truth(robots, sideways=sideways) for robots in (("r3", "r1"), ("r1", "r2", "r3"))]
+    ground = ground_of(told, scenario)
     assert ground.poses[0, [0, 2]].tolist() == [[1, 2, 3], [0, 0, 0]]
     assert np.isnan(ground.poses[0, 1]).all()
     assert ground.clearances[1].tolist() == [0, 1, 2]
-    assert ground.velocities[1, 2, :2].tolist() == [2, 20]
-    if columns == 3:
-        assert ground.velocities[1, 2, 2] == 200
-
-
-def test_sideways_speed_that_is_not_told_is_how_poses_change(scenario: Scenario) -> None:
-    """r2 goes sideways at 0.3 m/s while it goes ahead at 0.1 m/s, facing 0.7 rad."""
-    c, s = math.cos(0.7), math.sin(0.7)
-    truths = []
-    for step in range(5):
-        x, y = 0.1 * step * (0.1 * c - 0.3 * s), 0.1 * step * (0.1 * s + 0.3 * c)
-        poses, stamp = pack_floats([(0, 0, 0), (x, y, 0.7), (0, 0, 0)]), step * SECOND // 10
-        truths.append(msgspec.structs.replace(truth(("r1", "r2", "r3"), 2), poses=poses, stamp_ns=stamp))
-    assert ground_of(truths, scenario).velocities[:, 1, 2] == pytest.approx(0.3, abs=1e-5)
-    assert np.isnan(ground_of(truths[:1], scenario).velocities[:, 1, 2]).all()
+    assert ground.velocities[1, 2].tolist() == [2, 20, 200 * sideways]
+    assert ground.velocities[0, [0, 2], 2].tolist() == [100 * sideways, 0]
+    assert np.isnan(ground.velocities[0, 1]).all()
 
 
 def test_control_points_and_believed_poses_as_geometry_has_them(scenario: Scenario) -> None:
