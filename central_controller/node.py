@@ -137,13 +137,13 @@ class CentralController:
         if self._stage == "waiting":
             if self._roster.ready(now, self._with_ranges):
                 self._begin(now)
-                elapsed = 0
         elif self._roster.review(self._lost_after, now):
             self._reorganise(now)
         self._waits_for = self._roster.waited_for(now)
         views = self._views(now)
         if self._stage == "waiting" or not self._enough or self._faults:
             self._errors, self._notes, self._rate = None, (), 0.0
+            self._ticked = None
             return [*self._stand(views), self._state(self._reference(), now)]
         return self._guide(views, elapsed, now)
 

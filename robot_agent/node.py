@@ -82,6 +82,7 @@ class RobotAgent:
         self._mode: Mode = "waiting"
         self._sent = _STANDING
         self._wanted = _STANDING
+        self._begun = False
         self._verdict: guard.Reason = "none"
         self._applied: Stamp | None = None
         self._oldest_s = -1.0
@@ -218,10 +219,9 @@ class RobotAgent:
             return self._stand()
         seen = self._sensing.latest(now)
         measured = self._reckoning.velocity
-        wanted = self._pipeline.step(
-            (*command.values, command.third), pose.psi, seen, measured, dt_s, self._wanted == self._sent
-        )
-        self._wanted = wanted
+        values, free = (*command.values, command.third), self._wanted == self._sent
+        wanted = self._pipeline.step(values, pose.psi, seen, measured, dt_s if self._begun else 0.0, free)
+        self._wanted, self._begun = wanted, True
         if not modes.MOVES[self._mode]:
             return self._stand("blind" if self._blind(now) else "none")
         if self._guard.clearance:

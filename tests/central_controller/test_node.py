@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 from central_controller.node import CONTROL, STAGES, CentralController
 from maniple.control import unicycle
 from maniple.control.builtin import BUILTIN
+from maniple.control.limits import Velocity
 from maniple.control.parts import Parts
 from maniple.core import codec, topics
 from maniple.core.geometry import Pose
@@ -32,6 +33,7 @@ from maniple.core.messages import (
 from maniple.core.node import Node, Outgoing, Received
 from maniple.core.scenario.types import (
     Avoidance,
+    Compensation,
     Controller,
     Formation,
     Line,
@@ -703,6 +705,32 @@ def test_with_fewer_than_three_robots_everybody_stands_and_the_state_says_so() -
     _, state = alive_for(driver, 0.5, *driver.ids)
     assert state.phase == "running"
     assert state.chain == driver.ids
+
+
+def test_after_a_stand_the_layers_begin_anew() -> None:
+    steps = []
+
+    class Noting:
+        parameters = ()
+
+        def step(self, desired: Velocity, measured: Velocity, free: bool, dt_s: float) -> Velocity:
+            steps.append(dt_s)
+            return desired
+
+    made = scenario(
+        "drive",
+        avoidance=Avoidance(enabled=False),
+        compensation=Compensation(enabled=True, law="noting"),
+    )
+    driver = Driver(made, parts=BUILTIN._replace(compensation={"noting": lambda *_: Noting()}))
+    driver.tick(100)
+    driver.odometries()
+    alive_for(driver, 0.2, *driver.ids)
+    assert steps == [0.0] * 4 + [0.1] * 4
+    alive_for(driver, 6.0, "r1", "r3")
+    steps.clear()
+    alive_for(driver, 0.2, *driver.ids)
+    assert steps == [0.0] * 4 + [0.1] * 4
 
 
 @pytest.mark.parametrize("build", ["off", "straight"])

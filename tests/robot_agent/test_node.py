@@ -4,7 +4,8 @@ from typing import Any, TypeVar
 
 import pytest
 
-from maniple.control.limits import limits_of
+from maniple.control.builtin import BUILTIN
+from maniple.control.limits import Velocity, limits_of
 from maniple.control.returns import returns_of
 from maniple.core import codec, topics
 from maniple.core.envelope import Envelope
@@ -27,7 +28,17 @@ from maniple.core.messages import (
     unpack_floats,
 )
 from maniple.core.node import Outgoing, Received
-from maniple.core.scenario.types import Avoidance, Circle, Guard, Placement, Rates, Robot, Scenario, World
+from maniple.core.scenario.types import (
+    Avoidance,
+    Circle,
+    Compensation,
+    Guard,
+    Placement,
+    Rates,
+    Robot,
+    Scenario,
+    World,
+)
 from maniple.core.time import MILLISECOND, SECOND, VIRTUAL_EPOCH
 from maniple.host.virtual import VirtualHost
 from robot_agent.node import DRIVE, STATUS, RobotAgent
@@ -370,6 +381,28 @@ def test_after_a_freeze_it_starts_from_a_stand(make_scenario: Make, command_from
     late = T0 + 60 * SECOND
     assert run(agent, command_from, (0.1, 0.0), late, 1).u_mps == 0.0
     assert run(agent, command_from, (0.1, 0.0), late + TICK, 1).u_mps == pytest.approx(0.015)
+
+
+def test_its_layers_are_told_the_time_since_their_step_before(
+    make_scenario: Make, command_from: CommandFrom
+) -> None:
+    """Ticks without a command are no steps; after a freeze they begin anew."""
+    steps = []
+
+    class Noting:
+        parameters = ()
+
+        def step(self, desired: Velocity, measured: Velocity, free: bool, dt_s: float) -> Velocity:
+            steps.append(dt_s)
+            return desired
+
+    made = make_scenario(compensation=Compensation(enabled=True, law="noting"))
+    agent = RobotAgent(made, "r1", parts=BUILTIN._replace(compensation={"noting": lambda *_: Noting()}))
+    drive_of(agent, T0 - 2 * TICK)
+    drive_of(agent, T0 - TICK)
+    run(agent, command_from, (0.1, 0.0), T0, 2)
+    run(agent, command_from, (0.1, 0.0), T0 + 60 * SECOND, 2)
+    assert steps == [0.0, 0.05, 0.0, 0.05]
 
 
 def test_keeps_clear_of_what_it_senses_and_knows_how_far_it_went_since(
