@@ -9,7 +9,6 @@ from itertools import groupby
 from operator import attrgetter
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 
 from maniple.control.limits import age_limits
@@ -424,8 +423,3 @@ def outcome(series: Series) -> str:
     waits = f", waiting for {', '.join(last.waits_for)}" if last.waits_for else ""
     covered = f"{100 * series.task_share:.0f} % of the task's time"
     return f"Not completed: it ended {last.phase}{why}{waits}, after {covered}, {clean}."
-
-
-def encode_figures(series: Series) -> dict[str, Any]:
-    """The figures as plain data."""
-    return dict(msgspec.to_builtins(series.figures))
