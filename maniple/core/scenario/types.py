@@ -484,7 +484,8 @@ class Guard(Parameters, frozen=True, kw_only=True):
     """What a robot does to what it is told, last and on its own."""
 
     clearance: bool = True
-    """Whether it refuses to drive into what it senses."""
+    """Whether it refuses to drive into what it senses, or where its range finder does not look: backwards, or
+    sideways unless that looks all round."""
     gamma_per_s: Positive = 1.0
     """It approaches a thing at distance d no faster than this times what is left of d."""
     margin_m: NotNegative = 0.05
