@@ -221,9 +221,9 @@ class CentralController:
         for name, (vx, vy) in zip(robots, velocities.tolist(), strict=True):
             member, view = self._members[name], views[name]
             wanted = (*member.mounting.velocity_in_own(vx, vy), target.velocity[2])
-            follows = member.mode == "tracking"
+            free = name not in self._waits_for and not member.held_back
             told = self._pipelines[name].step(
-                wanted, view.heading, member.returns, view.velocity, to_seconds(elapsed), follows
+                wanted, view.heading, member.returns, view.velocity, to_seconds(elapsed), free
             )
             age = max(oldest, member.returns_age(now)) if self._with_ranges else oldest
             out.append(self._command(name, view, told, age))

@@ -46,6 +46,8 @@ class Member:
         self.odometry: Odometry | None = None
         self.returns: Returns | None = None
         self.mode = ""
+        self.held_back = False
+        """Whether its guard, by its last status, kept it from doing what it could have done."""
         self.lost = False
         """Whether the others go on without it."""
         self._odometry_at: Time = 0
@@ -68,6 +70,7 @@ class Member:
             self._returns_at = now
         elif isinstance(message, Status):
             self.mode = message.mode
+            self.held_back = message.guard in ("age", "clearance", "blind")
             self._localised = message.localised
             if self._located is not None and message.localised:
                 self._located = max(self._located, message.incarnation)

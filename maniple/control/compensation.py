@@ -15,14 +15,14 @@ a robot that has one is treated like u, without coupling.
 What the paper leaves open: derivatives come from a filter, see `Derivative`; a parameter stays within a
 factor of `SPREAD` of the model's, and th3 and th5, which may be of either sign, within `SPREAD` times the
 model's either way, or `COUPLING`. Nothing is adapted, nor forgotten, while the error is not the parameters'
-doing: while the robot is not told what the law gave (`free`), while that is more than its speed and
-acceleration limits let it do, and while it is to stand.
+doing: while the robot is not told what the law gave (`free`), while that is more than its speed,
+acceleration and steering limits let it do, and while it is to stand.
 """
 
 import math
 from typing import NamedTuple
 
-from maniple.control.limits import Velocity
+from maniple.control.limits import Velocity, curvature_max
 from maniple.control.parts import refuse_options
 from maniple.core.scenario.types import Compensation, RobotModel, Six
 
@@ -147,6 +147,7 @@ class Adaptive:
             abs(told.u) <= model.u_max_mps
             and abs(told.w) <= model.w_max_radps
             and abs(told.v) <= (model.v_max_mps or 0.0)
+            and (model.drive != "car" or abs(told.w) <= curvature_max(model) * abs(told.u))
             and abs(told.u - before.u) <= model.u_accel_mps2 * dt_s
             and abs(told.w - before.w) <= model.w_accel_radps2 * dt_s
             and abs(told.v - before.v) <= model.u_accel_mps2 * dt_s

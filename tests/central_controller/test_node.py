@@ -126,10 +126,10 @@ class Driver:
         for robot in self.ids:
             self.say(topics.ranges(robot), scans.get(robot, scan()))
 
-    def mode(self, robot: str, mode: Mode) -> None:
+    def mode(self, robot: str, mode: Mode, guard: str = "none") -> None:
         status = Status(
             mode=mode,
-            guard="none",
+            guard=guard,
             command_age_s=-1.0,
             command_age_max_s=-1.0,
             driver="active",
@@ -705,6 +705,28 @@ def test_with_fewer_than_three_robots_everybody_stands_and_the_state_says_so() -
     _, state = alive_for(driver, 0.5, *driver.ids)
     assert state.phase == "running"
     assert state.chain == driver.ids
+
+
+def test_no_dynamics_are_learnt_from_a_robot_that_is_held_back_or_not_heard() -> None:
+    """All are 0.3 m behind their places and do not move."""
+
+    def learnt(state: FormationState) -> list[tuple[float, ...]]:
+        return [robot.compensation for robot in state.roster]
+
+    off = Avoidance(enabled=False)
+    driver = Driver(scenario("drive", avoidance=off, compensation=Compensation(enabled=True)))
+    behind = {name: odometry(Pose(-0.3, 0.0, 0.0)) for name in driver.ids}
+    for guard, learns in (("none", True), ("acceleration", True), ("clearance", False), ("age", False)):
+        driver.mode("r1", "tracking", guard)
+        states = []
+        for _ in range(10):
+            driver.odometries(behind)
+            states.append(learnt(driver.tick(100)[1]))
+        assert (states[0][0] != states[-1][0]) is learns, guard
+        assert all(a != b for a, b in zip(states[0][1:], states[-1][1:], strict=True))
+    driver.mode("r1", "tracking")
+    before, after = (learnt(alive_for(driver, 1.2, "r2", "r3", "r4")[1])[0] for _ in range(2))
+    assert before == after
 
 
 def test_after_a_stand_the_layers_begin_anew() -> None:

@@ -177,6 +177,18 @@ def test_nothing_is_adapted_while_the_error_is_not_the_parameters_doing() -> Non
     assert not adapted(steps=1), "more than it can speed up in one step"
 
 
+def test_nothing_is_adapted_while_a_car_can_not_turn_so_tightly() -> None:
+    car = replace(MODEL, drive="car", wheelbase_m=0.5, steer_max_rad=0.4)
+    tightest = math.tan(0.4) / 0.5
+    for share, learns in ((0.5, True), (1.5, False)):
+        law = Adaptive(Compensation(), car)
+        before = law.parameters
+        desired = Velocity(0.3, 0.3 * share * tightest)
+        for _ in range(200):
+            law.step(desired, Velocity(0.29, 0.95 * desired.w), True, 0.05)
+        assert (law.parameters != before) is learns
+
+
 @pytest.mark.parametrize("measured", [Velocity(-1e3, 1e3), Velocity(1e3, -1e3), Velocity(1e9, 1e9)])
 def test_parameters_stay_within_bounds(measured: Velocity) -> None:
     law = Adaptive(Compensation(gamma=(1e3,) * 6), replace(MODEL, u_max_mps=1e12, w_max_radps=1e12))
