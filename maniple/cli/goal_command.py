@@ -178,20 +178,23 @@ def tables_of(data: dict[str, Any], folder: Path = Path()) -> GoalTables:
 
 
 def send(goal: Goal, session: "ZenohSession", timeout_s: float) -> Answer:
-    """Give a goal to the controller and return its answer.
+    """Give a goal to the controller, stamped by the clock of its run, and return its answer.
 
     Raises:
         RunError: no controller is there, or none answers within the time.
     """
+    from maniple.host.router import clock_of
+
     if not session.lives("controller", min(timeout_s, 2.0)):
         raise RunError("no controller is running there")
     states: SimpleQueue[bytes] = SimpleQueue()
     session.subscribe(topics.FORMATION_STATE, lambda _, data: states.put(data))
     session.settle()
+    clock = clock_of(session)
     life, until, seq, due = time.time_ns(), time.monotonic() + timeout_s, 0, 0.0
     while (now := time.monotonic()) < until:
         if now >= due:
-            head = {"source": OPERATOR, "incarnation": life, "seq": seq, "stamp_ns": time.time_ns()}
+            head = {"source": OPERATOR, "incarnation": life, "seq": seq, "stamp_ns": clock.now()}
             session.put(topics.FORMATION_GOAL, codec.encode(msgspec.structs.replace(goal, **head)))
             seq, due = seq + 1, now + AGAIN_S
         if (state := _next(states, min(due, until) - now)) is not None and state.goal == goal.id:

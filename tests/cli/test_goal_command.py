@@ -2,6 +2,7 @@
 
 import json
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from queue import SimpleQueue
@@ -14,8 +15,10 @@ from central_controller.node import CentralController
 from maniple.cli import goal_command
 from maniple.cli.goal_command import GoalTables, app, load, tables_of
 from maniple.cli.loading import loads
+from maniple.core import codec, topics
 from maniple.core.errors import ManipleError, RunError, ScenarioError
 from maniple.core.scenario.types import Formation, Line, Positioning, Samples, Shape
+from maniple.core.time import SECOND
 from maniple.host.clock import Anchor
 from maniple.host.realtime import RealtimeHost
 from maniple.host.router import serve
@@ -218,3 +221,21 @@ def test_a_controller_that_says_nothing_is_given_up() -> None:
         result = invoke("hold", "--connect", endpoint, "--timeout", 1.2)
     assert isinstance(result.exception, RunError)
     assert str(result.exception) == f"{endpoint}: the controller did not answer within 1.2 s"
+
+
+def test_goals_carry_the_time_of_the_run() -> None:
+    """Of one that began at 7 s, twice as fast as the wall clock."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    goals: SimpleQueue[bytes] = SimpleQueue()
+    clock = Anchor(7 * SECOND, time.monotonic_ns(), 2.0)
+    with (
+        ZenohSession.router(endpoint, "maniple") as router,
+        ZenohSession.client(endpoint, "maniple") as mute,
+    ):
+        serve(router, clock)
+        mute.announce("controller", 1)
+        mute.subscribe(topics.FORMATION_GOAL, lambda _, data: goals.put(data))
+        mute.settle()
+        invoke("hold", "--connect", endpoint, "--timeout", 1.2)
+        message = codec.decode(topics.FORMATION_GOAL, goals.get(timeout=DEADLINE_S))
+        assert 7 * SECOND < message.stamp_ns < clock.now()
