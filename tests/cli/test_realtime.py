@@ -7,7 +7,7 @@ import resource
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from queue import SimpleQueue
@@ -110,8 +110,7 @@ def under_way(
         with ZenohSession.client(run.option("--connect"), "maniple") as session:
             session.subscribe(topics.TRUTH, hear)
             session.subscribe(topics.FORMATION_STATE, hear)
-            while states.get(timeout=60).task_time_s < 5.0:
-                pass
+            await_state(states, lambda state: state.task_time_s > 5.0)
             yield run, truth
 
 
@@ -280,14 +279,13 @@ def test_a_killed_robot_is_left_out_and_comes_back(tmp_path: Path) -> None:
 
     def wait_for(robots: int) -> FormationState:
         """Until as many are in formation, as the controller sees it."""
-        until = time.monotonic() + 120.0
-        while time.monotonic() < until:
-            state = states.get(timeout=30)
+
+        def formed(state: FormationState) -> bool:
             errors = unpack_floats(state.errors, 6)
-            close = len(errors) == robots - 2 and np.abs(errors).max() < 0.1
-            if close and not state.waits_for and state.task_time_s > 2.0:
-                return state
-        raise AssertionError(f"{robots} robots were never in formation: {state}")
+            close = len(errors) == robots - 2 and bool(np.abs(errors).max() < 0.1)
+            return close and not state.waits_for and state.task_time_s > 2.0
+
+        return await_state(states, formed)
 
     with running(tmp_path, scenario, "--speed", SPEED, *calm) as run:
         eventually(lambda: len(run.children()) == 10)
@@ -453,7 +451,7 @@ def test_a_disk_that_fills_up(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_nodes_started_by_hand(tmp_path: Path) -> None:
     """As in containers: each by its own command, with the scenario's file, no common clock, numbered by the
-    router; ended one by one. A second life of a robot is waited for, as nobody knows where it is."""
+    router; ended one by one. A second life of a robot knows where it is and goes on."""
     scene, log = write(tmp_path, LONG), tmp_path / "a.mcap"
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     options = ("--scenario", scene, "--connect", endpoint)
@@ -473,14 +471,14 @@ def test_nodes_started_by_hand(tmp_path: Path) -> None:
                 nodes[name] = start(name, *options)
             for robot in ("r1", "r2", "r3"):
                 nodes[robot] = start("agent", robot, *options)
-            while states.get(timeout=60).task_time_s < 2.0:
-                pass
+            await_state(states, lambda state: state.task_time_s > 2.0)
             end(nodes["r1"])
+            await_state(states, lambda state: state.roster[0].state == "absent")
             nodes["r1"] = start("agent", "r1", *options)
             await_life(lives, "r1", 2)
-            while (state := states.get(timeout=60)).roster[0].state != "unlocalised":
-                pass
-            assert state.waits_for[0] == "r1"
+            before = await_state(states, lambda state: state.roster[0].state == "present")
+            assert before.waits_for[:1] == ("r1",)
+            await_state(states, lambda state: state.task_time_s > before.task_time_s + 1.0)
         for name in ("controller", "r1", "r2", "r3", "simulator", "recorder", "router"):
             end(nodes[name])
     finally:
@@ -490,6 +488,16 @@ def test_nodes_started_by_hand(tmp_path: Path) -> None:
     assert_nothing_missing(log)
     assert {message.incarnation for _, message in read(log).decoded(Truth)} == {1}
     assert (unpack_floats(truths(log)[-1].poses, 3)[:, 0] > -0.1).all()
+
+
+def await_state(
+    states: SimpleQueue[FormationState], what: Callable[[FormationState], bool], within_s: float = 120.0
+) -> FormationState:
+    """The first state for which `what` is true."""
+    until = time.monotonic() + within_s
+    while not what(state := states.get(timeout=60)):
+        assert time.monotonic() < until, f"not within {within_s:g} s; last: {state}"
+    return state
 
 
 def await_life(lives: SimpleQueue[tuple[str, int, bool]], node: str, incarnation: int) -> None:
