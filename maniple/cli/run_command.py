@@ -67,6 +67,8 @@ def _summary(result: Result) -> Table:
     outcome = "completed" if result.completed else "interrupted" if result.interrupted else "not completed"
     if result.collisions:
         outcome += f", {result.collisions} collisions"
+    if result.completed and (off := result.final_error.out_of_formation_m):
+        outcome += f", {off:.1f} m off its formation"
     counts = result.messages
     table = Table(box=None, show_header=False, padding=(0, 2))
     table.add_column(no_wrap=True)

@@ -418,7 +418,9 @@ def outcome(series: Series) -> str:
     if last is None:
         return "The recording holds no word of the controller."
     if figures.completed:
-        return f"Completed{f' in {figures.duration_s:.1f} s' if series.true else ''}, {clean}."
+        off = figures.final_error.out_of_formation_m
+        but = f", but out of formation: {off:.1f} m off at the end" if off else ""
+        return f"Completed{f' in {figures.duration_s:.1f} s' if series.true else ''}, {clean}{but}."
     why = f": {last.reason}" if last.reason else ""
     waits = f", waiting for {', '.join(last.waits_for)}" if last.waits_for else ""
     covered = f"{100 * series.task_share:.0f} % of the task's time"

@@ -36,6 +36,10 @@ LAST: int = SECOND
 _WANTED = (Truth, FormationState, Status, Odometry, Journal, Decisions)
 
 
+OFF_M = 0.2
+"""A platoon that is off by more at the end is told to be out of formation."""
+
+
 class Errors(msgspec.Struct, frozen=True):
     """Formation errors: the largest over the triangles."""
 
@@ -47,6 +51,12 @@ class Errors(msgspec.Struct, frozen=True):
     """p and q, whichever is off more."""
     angle_rad: float | None = None
     """beta."""
+
+    @property
+    def out_of_formation_m(self) -> float:
+        """The larger of the errors in metres where it is more than `OFF_M`, else 0; 0 where none is known."""
+        worst = max(self.position_m or 0.0, self.distance_m or 0.0)
+        return worst if worst > OFF_M else 0.0
 
 
 class MessageCounts(msgspec.Struct, frozen=True):

@@ -377,3 +377,9 @@ def test_what_dead_reckoning_explains(scenario: Scenario) -> None:
 def test_no_odometry_no_drift(scenario: Scenario) -> None:
     assert a_run(scenario).odometry_drift_m is None
     assert a_run(scenario).lost_robots == []
+
+
+def test_a_platoon_far_off_is_out_of_formation() -> None:
+    assert Errors().out_of_formation_m == 0.0
+    assert Errors(position_m=0.1, distance_m=0.05).out_of_formation_m == 0.0
+    assert Errors(position_m=0.1, distance_m=3.0).out_of_formation_m == 3.0
