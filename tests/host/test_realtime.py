@@ -28,12 +28,21 @@ def platoon(scenario: Scenario, *nodes: Node, speed: float = 5.0) -> Iterator[tu
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     clock = Anchor.here(speed)
     said: Said = SimpleQueue()
+    ended = {f"journal/{node.name}": threading.Event() for node in nodes}
+
+    def listen(topic: str, data: bytes) -> None:
+        said.put((topic, data))
+        if topic in ended and any(call.kind == "stop" for call in calls_of(topic, data)):
+            ended[topic].set()
+
     with ExitStack() as stack:
         router = stack.enter_context(ZenohSession.router(endpoint, "test"))
         serve(router)
         ear = stack.enter_context(ZenohSession.client(endpoint, "test"))
-        ear.subscribe("**", lambda topic, data: said.put((topic, data)))
+        ear.subscribe("**", listen)
         ear.settle()
+        for end in ended.values():  # what was said last is heard before the ear closes
+            stack.callback(end.wait, DEADLINE_S)
         for node in nodes:
             session = stack.enter_context(ZenohSession.client(endpoint, "test"))
             host = RealtimeHost(node, 1, scenario, clock, session, session)
