@@ -1,5 +1,7 @@
 """Figures of quantities over time."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -147,6 +149,17 @@ def _velocities_together(robots: list[RobotSeries], word: str, sideways: bool) -
     return figure
 
 
+def _of_each_robot(axes: Axes, tracks: Mapping[str, Track], column: int) -> list[Artist]:
+    """A line for each robot that has a track, or a band over many; returns the rows of the legend."""
+    known = [track for track in tracks.values() if len(track.t)]
+    if len(known) > MANY:
+        draw_band(axes, _band(known, column), BLUE)
+        return list(band_rows(BLUE, f"of {len(known)} robots"))
+    for index, track in enumerate(tracks.values()):
+        line(axes, track, column, **look(index))
+    return [row(name, **look(index)) for index, name in enumerate(tracks)]
+
+
 def clearance(series: Series) -> Figure | None:
     """Smallest distance of each robot's outline to anything. None without ground truth."""
     robots = [robot for robot in series.robots if len(robot.clearance.t)]
@@ -154,14 +167,7 @@ def clearance(series: Series) -> Figure | None:
         return None
     figure = sheet(2.3)
     ((axes,),) = panels(figure, 1)
-    rows: list[Artist] = []
-    if len(robots) > MANY:
-        draw_band(axes, _band([robot.clearance for robot in robots], 0), BLUE)
-        rows += band_rows(BLUE, f"of {len(robots)} robots")
-    else:
-        for index, robot in enumerate(series.robots):
-            line(axes, robot.clearance, 0, **look(index))
-            rows.append(row(robot.id, **look(index)))
+    rows = _of_each_robot(axes, {robot.id: robot.clearance for robot in series.robots}, 0)
     axes.axhline(0.0, color=INK, lw=0.6)
     if series.contacts:
         t = [t for t, _ in series.contacts]
@@ -180,14 +186,7 @@ def ages(series: Series) -> Figure | None:
         return None
     figure = sheet(2.3)
     ((axes,),) = panels(figure, 1)
-    rows: list[Artist] = []
-    if len(robots) > MANY:
-        draw_band(axes, _band([robot.age for robot in robots], 1), BLUE)
-        rows += band_rows(BLUE, f"of {len(robots)} robots")
-    else:
-        for index, robot in enumerate(series.robots):
-            line(axes, robot.age, 1, **look(index))
-            rows.append(row(robot.id, **look(index)))
+    rows = _of_each_robot(axes, {robot.id: robot.age for robot in series.robots}, 1)
     for limits, colour, stripe, word in (
         ({robot.hold_s for robot in robots}, ORANGE, STRIPES[1], "slows from"),
         ({robot.stop_s for robot in robots}, RED, STRIPES[3], "stands at"),
