@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maniple.core.layers import Layer
-from maniple.core.scenario.types import Formation, Task
+from maniple.core.scenario.types import Crash, Fault, Formation, Freeze, Partition, Task
 
-Mode: TypeAlias = Literal["waiting", "tracking", "holding", "stopped", "fault"]
-"""What a robot's agent is doing."""
+Mode: TypeAlias = Literal["waiting", "tracking", "holding", "emergency", "stopped", "fault"]
+"""What a robot's agent is doing; "emergency" from an emergency stop until it is armed again."""
 
 Phase: TypeAlias = Literal["waiting", "forming", "running", "holding", "done"]
 """What the controller is doing: waiting for robots, building the formation, running the task, standing
@@ -211,6 +211,15 @@ class Goal(Message, frozen=True, kw_only=True):
     """True: stand; false: go on."""
 
 
+class EmergencyStop(Message, frozen=True, kw_only=True, gc=False):
+    """An operator's emergency stop, or its release: above goals, and no fault is injected into it."""
+
+    stopped: bool
+    """True: every robot stands; false: armed again."""
+    reason: str = ""
+    """For people."""
+
+
 class Drive(Message, frozen=True, kw_only=True, gc=False):
     """What a robot's drive is to do."""
 
@@ -273,6 +282,21 @@ class Truth(Message, frozen=True, kw_only=True, gc=False):
     ] = b""
 
 
+class FaultPlan(Message, frozen=True, kw_only=True):
+    """Everything that is injected from here on; it replaces the plan before."""
+
+    since_ns: int
+    """The start of the run in scenario time: what all times in it count from."""
+    faults: tuple[Fault, ...] = ()
+    partitions: tuple[Partition, ...] = ()
+    crashes: tuple[Crash, ...] = ()
+    freezes: tuple[Freeze, ...] = ()
+
+
+Cause: TypeAlias = Literal["", "cut", "loss", "burst", "rate"]
+"""Why fault injection lost a message: a partition, chance, a burst, a full queue; empty if it did not."""
+
+
 class Decided(msgspec.Struct, frozen=True, array_like=True, gc=False):
     """What a receiver's fault injection did to one message."""
 
@@ -282,6 +306,12 @@ class Decided(msgspec.Struct, frozen=True, array_like=True, gc=False):
     seq: int
     dropped: bool
     delay_ns: int
+    corrupted: bool = False
+    """Whether bits were flipped."""
+    copy_delay_ns: int = -1
+    """Delay of the second copy; -1 where there is none."""
+    cause: Cause = ""
+    """Why it was dropped."""
 
 
 class Decisions(Message, frozen=True, kw_only=True, gc=False):
@@ -321,14 +351,36 @@ class Alive(Message, frozen=True, kw_only=True, gc=False):
 
 
 class Refused(Message, frozen=True, kw_only=True, gc=False):
-    """Made by the host: an input that did not reach the node."""
+    """Made by the host: inputs that did not reach the node."""
 
     topic: str
     sender: str
     reason: str
+    count: int = 1
+    """How many of the same kind since the last that was told of."""
 
 
 class Counters(Message, frozen=True, kw_only=True, gc=False):
     """Made by the host once a second: what it counted since the start."""
 
     counters: dict[str, int]
+
+
+class LinkReport(msgspec.Struct, frozen=True, array_like=True, gc=False):
+    """What one receiver has counted of one sender's topic since its own start."""
+
+    source: str
+    topic: str
+    received: int
+    """Taken in."""
+    missing: int
+    """By their sequence numbers, of those that a life of the sender sent since its first that arrived."""
+    injected: int
+    """Of these, what fault injection dropped here."""
+    refused: int
+
+
+class LinkReports(Message, frozen=True, kw_only=True, gc=False):
+    """What a node's host has counted of every link into it, once a second."""
+
+    links: tuple[LinkReport, ...]

@@ -89,6 +89,8 @@ TOPICS: tuple[Topic, ...] = (
         faults=True,
         priority="commands",
     ),
+    Topic(pattern="platoon/stop", type=messages.EmergencyStop, rate_hz=0, latched=True, priority="commands"),
+    Topic(pattern="faults/plan", type=messages.FaultPlan, rate_hz=0, latched=True, priority="commands"),
     Topic(pattern="faults/decisions", type=messages.Decisions, rate_hz=5, priority="background"),
     Topic(
         pattern="hw/{id}/drive",
@@ -125,6 +127,14 @@ TOPICS: tuple[Topic, ...] = (
         priority="background",
         congestion="block",
     ),
+    Topic(
+        pattern="links/{id}",
+        type=messages.LinkReports,
+        rate_hz=1,
+        stale_after_s=5.0,
+        sender="{id}",
+        priority="background",
+    ),
     Topic(pattern="host/alive", type=messages.Alive, rate_hz=0, network="host", recorded=False),
     Topic(pattern="host/refused", type=messages.Refused, rate_hz=0, network="host", recorded=False),
     Topic(pattern="host/counters", type=messages.Counters, rate_hz=1, network="host", recorded=False),
@@ -134,6 +144,8 @@ HOST_ALIVE = "host/alive"
 HOST_REFUSED = "host/refused"
 HOST_COUNTERS = "host/counters"
 DECISIONS = "faults/decisions"
+PLAN = "faults/plan"
+STOP = "platoon/stop"
 FORMATION_STATE = "formation/state"
 FORMATION_GOAL = "formation/goal"
 TRUTH = "sim/truth"
@@ -197,6 +209,11 @@ def motion(robot: str) -> str:
 def scan(robot: str) -> str:
     """Topic of a robot's range finder."""
     return f"hw/{robot}/scan"
+
+
+def links(node: str) -> str:
+    """Topic of what a node's host counted of the links into it."""
+    return f"links/{node}"
 
 
 def journal(node: str) -> str:

@@ -525,6 +525,23 @@ class Links(Parameters, frozen=True, kw_only=True):
     """Least latency between robots and controller in virtual time."""
     hardware_latency_s: PositiveSeconds = 0.0002
     """Least latency between an agent and its hardware in virtual time."""
+    lease_s: Annotated[float, Meta(ge=0.1, le=3600)] = 2.0
+    """A node that is cut off for this long counts as gone. For real sessions wall time, else scenario
+    time."""
+
+
+class Burst(Parameters, frozen=True, kw_only=True):
+    """Losses that come in bursts: the two-state Markov chain of Gilbert and Elliott, a step for each message
+    (Elliott 1963, doi 10.1002/j.1538-7305.1963.tb00955.x)."""
+
+    enter: Probability
+    """From the good state to the bad one, for each message."""
+    leave: Annotated[float, Meta(gt=0, le=1)]
+    """From the bad state to the good one; a burst lasts 1 / leave messages on average."""
+    loss_good: Probability = 0.0
+    """Share of the messages that are lost in the good state."""
+    loss_bad: Probability = 1.0
+    """And in the bad state."""
 
 
 class Fault(Parameters, frozen=True, kw_only=True):
@@ -536,23 +553,75 @@ class Fault(Parameters, frozen=True, kw_only=True):
     """Receiving node, likewise."""
     topic: str = "*"
     """Topic, likewise: "robot/*/command"."""
+    preset: str = ""
+    """A measured network (see docs/faults.md): it gives every number below that is left out."""
     latency_s: Seconds = 0.0
     """Delay of every message, one way."""
     jitter_s: Seconds = 0.0
     """The delay is off by up to this much, evenly, either way."""
     loss: Probability = 0.0
     """Share of the messages that are lost, each on its own."""
+    burst: Burst | None = None
+    """Losses in bursts, beside those."""
+    duplicate: Probability = 0.0
+    """Share of the messages that arrive twice; the second copy has a delay of its own."""
+    reorder: Probability = 0.0
+    """Share of the messages that are held back by another `reorder_s`, so that later ones overtake them."""
+    reorder_s: Seconds = 0.2
+    """For how long."""
+    corrupt: Probability = 0.0
+    """Share of the messages of which bits are flipped on the way."""
+    rate_kbps: PositiveSeconds | None = None
+    """The link carries no more than this, kilobits a second; what comes faster queues up. Each pair of nodes
+    has a link of its own."""
+    queue_s: Seconds = 1.0
+    """What would have to wait for longer in that queue is lost."""
+    windows: tuple[tuple[Seconds, Seconds], ...] = ()
+    """When the rule is on: [from, to) in seconds since the start of the run; by default always."""
+
+
+class Partition(Parameters, frozen=True, kw_only=True):
+    """Groups of nodes that do not hear each other for a while."""
+
+    groups: tuple[tuple[str, ...], ...]
+    """Node names, `*` and `?` as in file names; the nodes in none of the groups are another group."""
+    at_s: Seconds = 0.0
+    """When it begins, since the start of the run."""
+    for_s: PositiveSeconds | None = None
+    """How long it lasts; to the end by default."""
 
 
 class Crash(Parameters, frozen=True, kw_only=True):
     """A node dies without a word, and may come back."""
 
     node: Name
-    """A robot, or "controller"."""
+    """A robot, "controller"; with real processes also "recorder" or "router"."""
     at_s: Seconds
-    """When, since the start."""
+    """When, since the start of the run."""
     restart_after_s: PositiveSeconds | None = None
     """How long it is gone; for ever by default."""
+
+
+class Freeze(Parameters, frozen=True, kw_only=True):
+    """A node stands still, as a stopped process does, and goes on later."""
+
+    node: Name
+    """A robot, "controller" or "simulator"; with real processes also "recorder" or "router"."""
+    at_s: Seconds
+    """When, since the start of the run."""
+    for_s: PositiveSeconds
+    """For how long."""
+
+
+class ClockError(Parameters, frozen=True, kw_only=True):
+    """The clock of a node is off. Nothing may depend on that: clocks of two machines are never compared."""
+
+    node: Name
+    """A robot, "controller" or "simulator"."""
+    offset_s: Annotated[float, Meta(ge=-1_000_000, le=1_000_000)] = 0.0
+    """How far it is ahead at the start of the run."""
+    skew_ppm: Annotated[float, Meta(ge=-10_000, le=10_000)] = 0.0
+    """How much faster it goes, parts per million."""
 
 
 class Scenario(Parameters, frozen=True, kw_only=True):
@@ -596,8 +665,14 @@ class Scenario(Parameters, frozen=True, kw_only=True):
     """The network without faults."""
     faults: tuple[Fault, ...] = ()
     """What is wrong with it."""
+    partitions: tuple[Partition, ...] = ()
+    """Who does not hear whom, and when."""
     crashes: tuple[Crash, ...] = ()
     """Which nodes die, and when."""
+    freezes: tuple[Freeze, ...] = ()
+    """Which nodes stand still for a while, and when."""
+    clocks: tuple[ClockError, ...] = ()
+    """Whose clock is off."""
     models: dict[str, RobotModel] = {}
     """Types of robots, beside those of the catalogue."""
     sensors: dict[str, RangeFinder] = {}
