@@ -1,6 +1,5 @@
 """`maniple goal`: tell a running platoon what to do from now on."""
 
-import re
 import time
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -11,24 +10,26 @@ import typer
 
 from maniple.cli.loading import table_of
 from maniple.cli.node_commands import LOCAL
+from maniple.cli.operator import (
+    AGAIN_S,
+    OPERATOR,
+    Connect,
+    Json,
+    Order,
+    Prefix,
+    Timeout,
+    operator_session,
+)
 from maniple.cli.way_file import with_files
 from maniple.core import codec, topics
-from maniple.core.errors import MessageError, RunError, ScenarioError, TransportError
+from maniple.core.errors import MessageError, RunError, ScenarioError
 from maniple.core.messages import FormationState, Goal
 from maniple.core.scenario.check_task import way_problems
 from maniple.core.scenario.parse import parameters_of
-from maniple.core.scenario.types import Formation, Links, Parameters, Task
+from maniple.core.scenario.types import Formation, Parameters, Task
 
 if TYPE_CHECKING:
     from maniple.transport.zenoh import ZenohSession
-
-OPERATOR = "operator"
-"""The sender of goals."""
-
-AGAIN_S = 0.5
-"""A goal is sent again after so long without an answer: the network may lose it."""
-
-_ENDPOINT = re.compile(r"[a-z0-9_-]+/.+")
 
 app = typer.Typer(
     name="goal",
@@ -38,10 +39,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Connect = Annotated[str, typer.Option(envvar="MANIPLE_CONNECT", help="Router of the fleet network.")]
-Prefix = Annotated[str, typer.Option(help="Of the keys, as in the scenario.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
-Timeout = Annotated[float, typer.Option(min=0.1, max=3600.0, help="Seconds to wait for an answer.")]
 Settle = Annotated[float, typer.Option("--settle", help="Seconds of rest at the end.")]
 
 NUMBERS = {"ignore_unknown_options": True}
@@ -183,20 +180,17 @@ def send(goal: Goal, session: "ZenohSession", timeout_s: float) -> Answer:
     Raises:
         RunError: no controller is there, or none answers within the time.
     """
-    from maniple.host.router import clock_of
-
     if not session.lives("controller", min(timeout_s, 2.0)):
         raise RunError("no controller is running there")
     states: SimpleQueue[bytes] = SimpleQueue()
     session.subscribe(topics.FORMATION_STATE, lambda _, data: states.put(data))
     session.settle()
-    clock = clock_of(session)
-    life, until, seq, due = time.time_ns(), time.monotonic() + timeout_s, 0, 0.0
+    order = Order(session, topics.FORMATION_GOAL, goal)
+    until, due = time.monotonic() + timeout_s, 0.0
     while (now := time.monotonic()) < until:
         if now >= due:
-            head = {"source": OPERATOR, "incarnation": life, "seq": seq, "stamp_ns": clock.now()}
-            session.put(topics.FORMATION_GOAL, codec.encode(msgspec.structs.replace(goal, **head)))
-            seq, due = seq + 1, now + AGAIN_S
+            order.send()
+            due = now + AGAIN_S
         if (state := _next(states, min(due, until) - now)) is not None and state.goal == goal.id:
             return Answer(
                 goal=goal.id,
@@ -222,17 +216,9 @@ def _order(
     holds: bool | None, tables: GoalTables, connect: str, prefix: str, as_json: bool, timeout_s: float
 ) -> None:
     """Send a goal, say what became of it, and end with status 0 if it is accepted, else 1."""
-    from maniple.transport.zenoh import ZenohSession
-
-    if not _ENDPOINT.fullmatch(connect):
-        raise typer.BadParameter(f"{connect!r}: an endpoint looks like {LOCAL}", param_hint="--connect")
-    links = parameters_of(Links, {"prefix": prefix})
     goal = Goal(id=f"{OPERATOR}-{time.time_ns()}", task=tables.task, formation=tables.formation, hold=holds)
-    try:
-        with ZenohSession.client(connect, links.prefix, timeout_s) as session:
-            answer = send(goal, session, timeout_s)
-    except (RunError, TransportError) as error:
-        raise RunError(f"{connect}: {error}") from None
+    with operator_session(connect, prefix, timeout_s) as session:
+        answer = send(goal, session, timeout_s)
     if as_json:
         typer.echo(msgspec.json.encode(answer).decode())
     elif answer.accepted:

@@ -135,9 +135,20 @@ class ZenohSession:
 
     def lives(self, node: str, timeout_s: float = 2.0) -> tuple[int, ...]:
         """The lives of a node that are there now."""
-        replies = self._session.liveliness().get(self._key(f"alive/{node}/*"), timeout=timeout_s)
-        names = [str(reply.ok.key_expr).rsplit("/", 1)[1] for reply in replies if reply.ok is not None]
-        return tuple(sorted(int(name) for name in names if name.isdecimal()))
+        return self._tokens(node, timeout_s).get(node, ())
+
+    def everyone(self, timeout_s: float = 2.0) -> dict[str, tuple[int, ...]]:
+        """The lives that are there now, of every node."""
+        return self._tokens("*", timeout_s)
+
+    def _tokens(self, node: str, timeout_s: float) -> dict[str, tuple[int, ...]]:
+        lives: dict[str, set[int]] = {}
+        for reply in self._session.liveliness().get(self._key(f"alive/{node}/*"), timeout=timeout_s):
+            if reply.ok is not None:
+                _, name, life = str(reply.ok.key_expr).rsplit("/", 2)
+                if life.isdecimal():
+                    lives.setdefault(name, set()).add(int(life))
+        return {name: tuple(sorted(found)) for name, found in sorted(lives.items())}
 
     def watch(self, on_change: Callable[[str, int, bool], None]) -> None:
         """Call `on_change(node, incarnation, alive)` for every life there is, begins or ends."""
