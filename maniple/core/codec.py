@@ -51,6 +51,23 @@ def decoder(name: str) -> Callable[[bytes], Message]:
     return read_checked
 
 
+def unknown_fields(name: str, data: bytes) -> int:
+    """How many fields of a valid message its type does not have: they were ignored."""
+    known = _field_names(topic(name).type)
+    if (
+        data[0] & 0x0F == len(known) and data[0] & 0xF0 == 0x80
+    ):  # the length of a short map is in its first byte
+        return 0
+    if data[0] == 0xDE and int.from_bytes(data[1:3], "big") == len(known):
+        return 0
+    return len(msgspec.msgpack.decode(data, type=dict[str, msgspec.Raw]).keys() - known)
+
+
+@cache
+def _field_names(kind: type[msgspec.Struct]) -> frozenset[str]:
+    return frozenset(field.encode_name for field in msgspec.structs.fields(kind))
+
+
 def encoding(name: str) -> str:
     """The Zenoh encoding of a topic: type and version."""
     return f"application/msgpack;maniple.{topic(name).type.__name__}@1"

@@ -7,6 +7,7 @@ import msgspec
 
 from maniple.core import messages
 from maniple.core.errors import MessageError
+from maniple.core.scenario.types import Rates
 
 Network: TypeAlias = Literal["fleet", "hardware", "host"]
 """Which network a topic lives on: "fleet" may fail, "hardware" is a robot's own wiring, "host" is local."""
@@ -20,6 +21,8 @@ class Topic(msgspec.Struct, frozen=True, kw_only=True):
     type: type[messages.Message]
     rate_hz: float
     """Nominal; 0 for messages sent on an occasion."""
+    paced_by: str = ""
+    """The field of the scenario's rates that says how often instead."""
     stale_after_s: float = 0.0
     """Older than this, the last value says nothing about now; 0 for never."""
     sender: str = ""
@@ -40,6 +43,7 @@ TOPICS: tuple[Topic, ...] = (
         pattern="robot/{id}/odometry",
         type=messages.Odometry,
         rate_hz=20,
+        paced_by="motion_hz",
         stale_after_s=0.5,
         sender="{id}",
         latched=True,
@@ -49,6 +53,7 @@ TOPICS: tuple[Topic, ...] = (
         pattern="robot/{id}/ranges",
         type=messages.Scan,
         rate_hz=10,
+        paced_by="scan_hz",
         stale_after_s=0.5,
         sender="{id}",
         priority="sensors",
@@ -58,6 +63,7 @@ TOPICS: tuple[Topic, ...] = (
         pattern="robot/{id}/status",
         type=messages.Status,
         rate_hz=2,
+        paced_by="status_hz",
         stale_after_s=2.0,
         sender="{id}",
         priority="background",
@@ -67,6 +73,7 @@ TOPICS: tuple[Topic, ...] = (
         pattern="robot/{id}/command",
         type=messages.Command,
         rate_hz=10,
+        paced_by="control_hz",
         stale_after_s=0.5,
         sender="controller",
         priority="commands",
@@ -76,6 +83,7 @@ TOPICS: tuple[Topic, ...] = (
         pattern="formation/state",
         type=messages.FormationState,
         rate_hz=10,
+        paced_by="control_hz",
         stale_after_s=1.0,
         sender="controller",
         latched=True,
@@ -96,6 +104,7 @@ TOPICS: tuple[Topic, ...] = (
         pattern="hw/{id}/drive",
         type=messages.Drive,
         rate_hz=20,
+        paced_by="drive_hz",
         stale_after_s=0.5,
         sender="{id}",
         network="hardware",
@@ -105,6 +114,7 @@ TOPICS: tuple[Topic, ...] = (
         pattern="hw/{id}/motion",
         type=messages.Motion,
         rate_hz=20,
+        paced_by="motion_hz",
         stale_after_s=0.5,
         sender="simulator",
         network="hardware",
@@ -113,12 +123,20 @@ TOPICS: tuple[Topic, ...] = (
         pattern="hw/{id}/scan",
         type=messages.Scan,
         rate_hz=10,
+        paced_by="scan_hz",
         stale_after_s=0.5,
         sender="simulator",
         network="hardware",
         priority="sensors",
     ),
-    Topic(pattern="sim/truth", type=messages.Truth, rate_hz=10, sender="simulator", network="hardware"),
+    Topic(
+        pattern="sim/truth",
+        type=messages.Truth,
+        rate_hz=10,
+        paced_by="truth_hz",
+        sender="simulator",
+        network="hardware",
+    ),
     Topic(
         pattern="journal/{id}",
         type=messages.Journal,
@@ -174,6 +192,12 @@ def sender_of(name: str) -> str:
     """The node that alone may send on a topic; empty where anybody may."""
     row = topic(name)
     return row.sender.replace("{id}", name.split("/")[1]) if "{id}" in row.sender else row.sender
+
+
+def rate_hz(name: str, rates: Rates) -> float:
+    """How often there is news on a topic, at the rates of a scenario; 0 for what is sent on an occasion."""
+    row = topic(name)
+    return float(getattr(rates, row.paced_by)) if row.paced_by else row.rate_hz
 
 
 def odometry(robot: str) -> str:

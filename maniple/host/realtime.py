@@ -54,7 +54,7 @@ class RealtimeHost:
         hardware: ZenohSession,
     ) -> None:
         self._node = node
-        self._runner = NodeRunner(node, incarnation)
+        self._runner = NodeRunner(node, incarnation, scenario.rates)
         self._seed = scenario.seed
         self._clock = clock
         self._fleet = fleet
@@ -122,6 +122,8 @@ class RealtimeHost:
             if isinstance(item, _Bytes):
                 self._arrived(item, now)
             elif isinstance(item, _Life):
+                if item.alive:
+                    self._runner.announced(item.node, item.incarnation)
                 if item.node != self._node.name:
                     self._send(self._runner.alive(item.node, item.incarnation, item.alive, now))
             else:
@@ -135,6 +137,9 @@ class RealtimeHost:
             self._send(self._runner.refuse(item.topic, "", "malformed", now))
             return
         if item.latched and not self._runner.is_news(envelope):
+            return
+        if item.latched:
+            self._send(self._runner.receive(envelope, now, latched=True))
             return
         delay = self._faulty.admit(envelope)
         if delay == 0:

@@ -11,10 +11,11 @@ import msgspec
 
 from maniple.core import codec, topics
 from maniple.core.envelope import Envelope
-from maniple.core.errors import MessageError
-from maniple.core.messages import Alive, Counters, Decided, Decisions, Journal, Message, Refused
+from maniple.core.messages import Alive, Counters, Decided, Decisions, Journal, LinkReports, Message, Refused
 from maniple.core.node import Node, Outgoing, Received
+from maniple.core.scenario.types import Rates
 from maniple.core.time import MILLISECOND, SECOND, Duration, Time
+from maniple.host.inlets import Inlets
 from maniple.host.journal import JournalBuffer
 
 FLUSH_PERIOD: Duration = 200 * MILLISECOND
@@ -23,29 +24,22 @@ FLUSH_PERIOD: Duration = 200 * MILLISECOND
 _COUNTERS_PERIOD: Duration = SECOND
 _HOST = "host"
 
-
-class _Inlet:
-    """What a node takes from one sender on one topic."""
-
-    __slots__ = ("decode", "foreign", "newest")
-
-    def __init__(self, topic: str, source: str) -> None:
-        self.newest = (-1, -1)
-        self.decode = codec.decoder(topic)
-        self.foreign = topics.sender_of(topic) not in ("", source)
+_KINDS_TOLD = 64
+"""Kinds of refusals that are told apart between two flushes; more are garbage with forged names."""
+_NAME_LENGTH = 64
 
 
 class NodeRunner:
-    """One life of one node."""
+    """One life of one node; `rates` are those of the scenario."""
 
-    def __init__(self, node: Node, incarnation: int) -> None:
+    def __init__(self, node: Node, incarnation: int, rates: Rates | None = None) -> None:
         self.node = node
         self.incarnation = incarnation
         self._sent: dict[str, int] = {}
-        self._inlets: dict[tuple[str, str], _Inlet] = {}
+        self._inlets = Inlets(rates or Rates())
         self._journal = JournalBuffer()
         self._counters: Counter[str] = Counter()
-        self._received = 0
+        self._refused: dict[tuple[str, str, str], int] = {}
         self._stopped = False
         self._counters_due: Time = 0
 
@@ -67,35 +61,38 @@ class NodeRunner:
         self._journal.timer(name, now)
         return self._outgoing(self.node.on_timer(name, now), now)
 
+    def announced(self, node: str, incarnation: int) -> None:
+        """A liveliness token of this life was seen: what it says on the fleet network is believed."""
+        self._inlets.announced(node, incarnation)
+
     def is_news(self, envelope: Envelope) -> bool:
         """Whether nothing as new as this was received from its sender on its topic."""
-        inlet = self._inlets.get((envelope.topic, envelope.source))
-        return inlet is None or (envelope.incarnation, envelope.seq) > inlet.newest
+        return self._inlets.is_news(envelope)
 
-    def receive(self, envelope: Envelope, now: Time) -> list[Envelope]:
-        """A message arrived. Invalid, old or foreign ones reach the node as a `Refused` only."""
-        topic, source = envelope.topic, envelope.source
-        inlet = self._inlets.get((topic, source))
-        if inlet is None:
-            inlet = self._inlets[topic, source] = _Inlet(topic, source)
-        mark = (envelope.incarnation, envelope.seq)
-        if mark <= inlet.newest:
-            return self.refuse(topic, source, "old", now)
-        if inlet.foreign:
-            return self.refuse(topic, source, "sender", now)
-        try:
-            message = inlet.decode(envelope.data)
-        except MessageError:
-            return self.refuse(topic, source, "malformed", now)
-        inlet.newest = mark
-        self._received += 1
+    def receive(self, envelope: Envelope, now: Time, latched: bool = False) -> list[Envelope]:
+        """A message arrived, or was `latched` and asked for. Invalid, old or foreign ones reach the node as a
+        `Refused` only."""
+        judged = self._inlets.judge(envelope, now, latched)
+        if isinstance(judged, str):
+            return self.refuse(envelope.topic, envelope.source, judged, now)
+        if unknown := codec.unknown_fields(envelope.topic, envelope.data):
+            self._counters["unknown_fields"] += unknown
         self._journal.received(envelope, now)
-        return self._outgoing(self.node.on_message(Received(topic, message), now), now)
+        return self._outgoing(self.node.on_message(Received(envelope.topic, judged), now), now)
 
     def refuse(self, topic: str, sender: str, reason: str, now: Time) -> list[Envelope]:
-        """Count an input that the node must not see, and tell it so."""
+        """Count an input that the node must not see, and tell it so: of each kind the first at once, what
+        follows with the next flush."""
         self._counters[f"refused_{reason}"] += 1
-        return self._tell(topics.HOST_REFUSED, Refused(topic=topic, sender=sender, reason=reason), now)
+        self._inlets.refused(topic, sender)
+        kind = topic, sender[:_NAME_LENGTH], reason
+        if kind not in self._refused and len(self._refused) >= _KINDS_TOLD:
+            kind = topic, "", reason
+        if kind in self._refused:
+            self._refused[kind] += 1
+            return []
+        self._refused[kind] = 0
+        return self._tell(topics.HOST_REFUSED, Refused(topic=kind[0], sender=kind[1], reason=reason), now)
 
     def alive(self, node: str, incarnation: int, alive: bool, now: Time) -> list[Envelope]:
         """Tell the node who is alive."""
@@ -106,18 +103,40 @@ class NodeRunner:
         self._counters[what] += by
 
     def flush(self, decided: Sequence[Decided], now: Time) -> list[Envelope]:
-        """What the host itself sends: the journal and the fault decisions since the last flush."""
+        """What the host itself sends: the journal, the fault decisions since the last flush, and what it
+        counted."""
         sent: list[Envelope] = []
-        if not self._stopped and now >= self._counters_due:
-            self._counters_due = now + _COUNTERS_PERIOD
-            sent += self._tell(
-                topics.HOST_COUNTERS, Counters(counters={"received": self._received, **self._counters}), now
-            )
+        self._inlets.decided(decided)
+        if not self._stopped:
+            sent += self._tell_refused(now)
+            if now >= self._counters_due:
+                sent += self._report(now)
         if decided:
             sent.append(self._stamp(topics.DECISIONS, Decisions(decided=tuple(decided)), now))
         if calls := self._journal.take():
             sent.append(self._stamp(topics.journal(self.node.name), Journal(calls=calls), now))
         return sent
+
+    def _report(self, now: Time) -> list[Envelope]:
+        """What was counted: to the node, and of the links to everybody."""
+        self._counters_due = now + _COUNTERS_PERIOD
+        counters = {"received": self._inlets.received, **self._counters}
+        sent = self._tell(topics.HOST_COUNTERS, Counters(counters=counters), now)
+        if links := self._inlets.report():
+            sent.append(self._stamp(topics.links(self.node.name), LinkReports(links=links), now))
+        return sent
+
+    def _tell_refused(self, now: Time) -> list[Envelope]:
+        """Tell the node what was refused since the first of each kind."""
+        waiting, self._refused = self._refused, {}
+        return [
+            envelope
+            for (topic, sender, reason), count in waiting.items()
+            if count
+            for envelope in self._tell(
+                topics.HOST_REFUSED, Refused(topic=topic, sender=sender, reason=reason, count=count), now
+            )
+        ]
 
     def _tell(self, topic: str, message: Message, now: Time) -> list[Envelope]:
         """Give the node a message that this host made; the journal keeps its bytes."""

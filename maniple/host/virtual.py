@@ -41,7 +41,7 @@ class VirtualHost:
         self._factories = dict(factories or {})
         self._incarnations = {node.name: 1 for node in nodes}
         self._latched: dict[str, Envelope] = {}
-        self._runners = {node.name: NodeRunner(node, incarnation=1) for node in nodes}
+        self._runners = {node.name: NodeRunner(node, 1, scenario.rates) for node in nodes}
         self._network = MemoryNetwork(scenario, {node.name: node.subscriptions for node in nodes})
         self._tap = tap
         self._tap_latency = from_seconds(scenario.network.fleet_latency_s)
@@ -52,6 +52,9 @@ class VirtualHost:
 
     def start(self) -> None:
         """Start all nodes, in the order of their names, and tell each who lives."""
+        for name in sorted(self._runners):
+            for other in sorted(self._runners):
+                self._runners[name].announced(other, 1)
         for name in sorted(self._runners):
             self._start(name)
         for name in sorted(self._runners):
@@ -126,7 +129,7 @@ class VirtualHost:
             return
         self._network.take_decided(name)  # of what nobody was there to receive
         life = self._incarnations[name] = self._incarnations[name] + 1
-        runner = self._runners[name] = NodeRunner(self._factories[name](life), life)
+        runner = self._runners[name] = NodeRunner(self._factories[name](life), life, self._scenario.rates)
         self._start(name)
         self._tell_life(name, True)
         for other in sorted(self._runners.keys() - {name}):

@@ -15,6 +15,7 @@ NAMED: dict[Callable[[str], str], type[messages.Message]] = {
     topics.motion: messages.Motion,
     topics.scan: messages.Scan,
     topics.journal: messages.Journal,
+    topics.links: messages.LinkReports,
 }
 
 
@@ -81,4 +82,6 @@ def test_commands_go_first_and_late_joiners_get_what_is_latched() -> None:
         "robot/{id}/odometry",
         "formation/state",
         "formation/goal",
+        "platoon/stop",
+        "faults/plan",
     }

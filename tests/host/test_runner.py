@@ -7,7 +7,18 @@ import pytest
 
 from maniple.core import codec, topics
 from maniple.core.envelope import Envelope, envelope_of
-from maniple.core.messages import Alive, Command, Decided, Decisions, Journal, Message, Refused
+from maniple.core.messages import (
+    Alive,
+    Command,
+    Counters,
+    Decided,
+    Decisions,
+    Journal,
+    LinkReport,
+    LinkReports,
+    Message,
+    Refused,
+)
 from maniple.core.time import SECOND
 from maniple.host.runner import NodeRunner
 from tests.host.nodes import Reporter, command, odometry
@@ -23,6 +34,8 @@ def reporter() -> Reporter:
 @pytest.fixture
 def runner(reporter: Reporter) -> NodeRunner:
     made = NodeRunner(reporter, incarnation=3)
+    for life in (1, 2):
+        made.announced("controller", life)
     made.start(START)
     return made
 
@@ -61,9 +74,45 @@ def test_old_and_repeated_messages_are_refused_within_an_incarnation(
     for incarnation, seq in ((1, 5), (1, 5), (1, 4), (1, 6), (2, 0), (1, 7)):
         runner.receive(sent(command(), topic, "controller", seq, incarnation), START)
     accepted = [(m.incarnation, m.seq) for m in heard(reporter) if isinstance(m, Command)]
-    refused = [m.reason for m in heard(reporter) if isinstance(m, Refused)]
     assert accepted == [(1, 5), (1, 6), (2, 0)]
-    assert refused == ["old", "old", "old"]
+    runner.flush((), START + 1)
+    refused = [(m.reason, m.count) for m in heard(reporter) if isinstance(m, Refused)]
+    assert refused == [("old", 1), ("old", 2)], "the first at once, what follows with the next flush"
+
+
+def test_of_a_flood_of_garbage_each_kind_is_told_once_a_flush_and_all_of_it_counted(
+    runner: NodeRunner, reporter: Reporter
+) -> None:
+    for k in range(10_000):
+        runner.refuse(topics.command("r1"), f"forged-{k}" * 100, "sender", START)
+    runner.flush((), START + 1)
+    told = [m for m in heard(reporter) if isinstance(m, Refused)]
+    assert len(told) < 70
+    assert sum(m.count for m in told) == 10_000
+    assert max(len(m.sender) for m in told) <= 64
+
+
+def test_what_was_counted_of_each_link_is_reported_once_a_second(runner: NodeRunner) -> None:
+    topic = topics.command("r1")
+    for seq in (3, 4, 8, 5):
+        runner.receive(sent(command(), topic, "controller", seq), START)
+    dropped = Decided("controller", topic, 1, 6, True, 0, cause="loss")
+    (report,) = [e for e in runner.flush([dropped], START + SECOND) if e.topic == "links/r1"]
+    message = codec.decode(report.topic, report.data)
+    assert isinstance(message, LinkReports)
+    assert message.links == (LinkReport("controller", topic, received=3, missing=3, injected=1, refused=1),)
+    assert not [e for e in runner.flush((), START + SECOND + 1) if e.topic == "links/r1"]
+
+
+def test_unknown_fields_are_ignored_and_counted(runner: NodeRunner, reporter: Reporter) -> None:
+    known = sent(command(), topics.command("r1"), "controller", 0)
+    more = msgspec.msgpack.decode(known.data) | {"colour": "red", "mood": 3}
+    runner.receive(envelope_of(known.topic, msgspec.msgpack.encode(more)), START)
+    assert isinstance(heard(reporter)[0], Command)
+    reporter.subscriptions |= {topics.HOST_COUNTERS}
+    runner.flush((), START + SECOND)
+    (counters,) = [m for m in heard(reporter) if isinstance(m, Counters)]
+    assert counters.counters["unknown_fields"] == 2
 
 
 @pytest.mark.parametrize("rest", [{}, {"layer": "nothing"}, {"layer": 7, "values": "x"}])
