@@ -11,7 +11,7 @@ from typing import NamedTuple
 from maniple.core import topics
 from maniple.core.envelope import Envelope, envelope_of
 from maniple.core.errors import MessageError
-from maniple.core.faults import beside
+from maniple.core.faults import plan_of
 from maniple.core.node import Node
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import Duration, Time
@@ -60,7 +60,8 @@ class RealtimeHost:
         self._fleet = fleet
         self._hardware = hardware
         self._sessions = {"fleet": fleet, "hardware": hardware}
-        self._faulty = FaultyReceiver(node.name, scenario.faults, scenario.seed, beside(node.name, scenario))
+        plan = plan_of(scenario, clock.epoch_ns)
+        self._faulty = FaultyReceiver(node.name, scenario, plan, clock.epoch_ns)
         self._inbox: SimpleQueue[_Bytes | _Life | _Stop] = SimpleQueue()
         self._agenda: list[tuple[Time, int, int, str, Envelope | None]] = []
         self._pushed = 0
@@ -141,11 +142,11 @@ class RealtimeHost:
         if item.latched:
             self._send(self._runner.receive(envelope, now, latched=True))
             return
-        delay = self._faulty.admit(envelope)
-        if delay == 0:
-            self._send(self._runner.receive(envelope, now))
-        elif delay is not None:
-            self._push(now + delay, _DELIVERY, envelope=envelope)
+        for delay, arrived in self._faulty.admit(envelope):
+            if delay == 0:
+                self._send(self._runner.receive(arrived, now))
+            else:
+                self._push(now + delay, _DELIVERY, envelope=arrived)
 
     def _act(self, now: Time) -> None:
         """Do everything that is due."""

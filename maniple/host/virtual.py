@@ -147,8 +147,8 @@ class VirtualHost:
             self._tap(envelope, now + self._tap_latency)
             if self._scenario.crashes and topic(envelope.topic).latched:
                 self._latched[envelope.topic] = envelope
-            for due, receiver in self._network.send(envelope, now):
-                self._deliver(envelope, due, receiver)
+            for due, receiver, arrived in self._network.send(envelope, now):
+                self._deliver(arrived, due, receiver)
 
     def _deliver(self, envelope: Envelope, due: Time, receiver: str) -> None:
         self._count += 1

@@ -4,50 +4,55 @@ from collections.abc import Mapping
 from typing import TypeAlias
 
 from maniple.core.envelope import Envelope
-from maniple.core.faults import beside
-from maniple.core.messages import Decided
+from maniple.core.faults import beside, plan_of
+from maniple.core.messages import Decided, FaultPlan
 from maniple.core.scenario.types import Scenario
-from maniple.core.time import Duration, Time, from_seconds
+from maniple.core.time import VIRTUAL_EPOCH, Duration, Time, from_seconds
 from maniple.core.topics import topic
 from maniple.transport.faulty import FaultyReceiver
 
-Delivery: TypeAlias = tuple[Time, str]
-"""One copy of a message: when it arrives, and at which node."""
+Delivery: TypeAlias = tuple[Time, str, Envelope]
+"""One copy of a message: when it arrives, at which node, and what arrives."""
 
 _Route: TypeAlias = tuple[tuple[str, Duration, FaultyReceiver], ...]
 
 
 class MemoryNetwork:
     """Routes envelopes by topic name; links take at least the least latency of their network, and within one
-    computer that of the hardware."""
+    computer that of the hardware. All times are of true scenario time, but for the stamps of senders whose
+    clocks are off. The plan is that of the scenario until another takes its place."""
 
     def __init__(self, scenario: Scenario, subscriptions: Mapping[str, frozenset[str]]) -> None:
         self._latency: dict[str, Duration] = {
             "fleet": from_seconds(scenario.network.fleet_latency_s),
             "hardware": from_seconds(scenario.network.hardware_latency_s),
         }
-        self._faulty = bool(scenario.faults)
         self._routes: dict[tuple[str, str], _Route] = {}
         self._subscriptions = {name: subscriptions[name] for name in sorted(subscriptions)}
         self._beside = {name: beside(name, scenario) for name in self._subscriptions}
+        plan = plan_of(scenario, VIRTUAL_EPOCH)
         self._receivers = {
-            name: FaultyReceiver(name, scenario.faults, scenario.seed, self._beside[name])
-            for name in self._subscriptions
+            name: FaultyReceiver(name, scenario, plan, VIRTUAL_EPOCH) for name in self._subscriptions
         }
 
+    def replan(self, plan: FaultPlan) -> None:
+        """Act by this plan from now on."""
+        for receiver in self._receivers.values():
+            receiver.replan(plan)
+
     def send(self, envelope: Envelope, now: Time) -> list[Delivery]:
-        """Where a message sent now arrives, and when."""
+        """What arrives of a message sent now: where, and when."""
         route = self._routes.get((envelope.topic, envelope.source))
         if route is None:
             route = self._route(envelope.topic, envelope.source)
             self._routes[envelope.topic, envelope.source] = route
-        if not self._faulty:
-            return [(now + latency, name) for name, latency, _ in route]
         deliveries = []
         for name, latency, receiver in route:
-            delay = receiver.admit(envelope)
-            if delay is not None:
-                deliveries.append((now + latency + delay, name))
+            if receiver.idle:
+                deliveries.append((now + latency, name, envelope))
+                continue
+            for delay, arrived in receiver.admit(envelope):
+                deliveries.append((now + latency + delay, name, arrived))
         return deliveries
 
     def take_decided(self, receiver: str) -> tuple[Decided, ...]:
