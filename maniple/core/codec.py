@@ -162,9 +162,11 @@ def _all_finite(value: Any) -> bool:
 
 
 def _is_tree(hint: Any) -> bool:
-    """Whether a field holds one of several structs, or none."""
-    parts = get_args(hint) if isinstance(hint, UnionType) else ()
-    return any(isinstance(part, type) and issubclass(part, Parameters) for part in parts)
+    """Whether a field holds one of several structs, or none, or tuples in a tuple."""
+    parts = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+    if any(get_origin(part) is tuple and get_origin(get_args(part)[0]) is tuple for part in parts):
+        return True
+    return len(parts) > 1 and any(isinstance(part, type) and issubclass(part, Parameters) for part in parts)
 
 
 def _name_the_worst(message: msgspec.Struct, scalars: tuple[str, ...]) -> str:

@@ -20,6 +20,9 @@ Phase: TypeAlias = Literal["waiting", "forming", "running", "holding", "done"]
 """What the controller is doing: waiting for robots, building the formation, running the task, standing
 because it was told to or because too few robots are left, or past the task's end."""
 
+Stage: TypeAlias = Literal["waiting", "forming", "running", "done"]
+"""What there is to do: wait for robots, build the formation, run the task, nothing more."""
+
 DriverState: TypeAlias = Literal["closed", "connected", "configured", "active", "fault"]
 """Where a driver is in its life cycle; see `robot_agent.drivers.interface`."""
 
@@ -69,6 +72,8 @@ class Odometry(Message, frozen=True, kw_only=True, gc=False):
     """Sideways to the left, of a robot that can."""
     applied: Stamp | None = None
     """The command that was last acted on."""
+    held_ns: int = 0
+    """How long ago that command arrived: what a round trip by way of it takes longer than the network does."""
     ticks: tuple[int, ...] = ()
     """The encoder counts this pose belongs to: with them a restarted agent knows how far the robot rolled
     on while it was dead. Empty before the first."""
@@ -135,6 +140,10 @@ class Command(Message, frozen=True, kw_only=True, gc=False):
     """The odometry of this robot it was computed from."""
     inputs_age_ns: int
     """Age of the oldest input used, as far as the controller knows."""
+    stop_after_s: float = 0.0
+    """At this age of what it was computed from the robot stands, if its own limit is not smaller, and slows
+    down from as much earlier in proportion: what a goal that is faster than the scenario's task bears. 0:
+    the robot's own limit."""
 
 
 class RobotReport(msgspec.Struct, frozen=True, gc=False):
@@ -143,10 +152,41 @@ class RobotReport(msgspec.Struct, frozen=True, gc=False):
     id: str
     state: Literal["absent", "present", "silent", "unlocalised", "lost"]
     odometry_age_s: float
-    """Since the last odometry arrived; -1 where none has."""
+    """Since the last odometry was sent, as far as the controller can tell; -1 where none has arrived."""
     mode: str
     compensation: tuple[float, ...] = ()
     """The adapted parameters, where the controller compensates the robot's dynamics."""
+    incarnation: int = 0
+    """The last life of its agent that was heard of; 0 before the first."""
+    reason: str = ""
+    """Why it is not tracking, by its own account."""
+    round_trip_s: float = -1.0
+    """What the network takes for a command and an odometry back, last measured; -1 before that."""
+    memory: tuple[tuple[float, ...], ...] = ()
+    """The state of its layers here: kinematics and avoidance. Empty where they have none."""
+
+
+class Progress(msgspec.Struct, frozen=True, array_like=True, gc=False):
+    """How far the platoon is with what there is to do."""
+
+    leg: int = 0
+    """Which part of a sequence of tasks."""
+    leg_ns: int = 0
+    """Task time since the beginning of that leg."""
+    settled_ns: int = 0
+    """For how long the robots have been where the leg, or the building of the formation, wants them."""
+    built_ns: int = 0
+    """For how long the formation, or a new shape, has been being built."""
+
+
+class Led(msgspec.Struct, frozen=True, array_like=True, gc=False):
+    """One robot of the chain that the supervisor leads round a singular point."""
+
+    kind: str
+    triangle: int
+    robot: int
+    way: float
+    """1 counter-clockwise, -1 clockwise."""
 
 
 class FormationState(Message, frozen=True, kw_only=True, gc=False):
@@ -189,13 +229,57 @@ class FormationState(Message, frozen=True, kw_only=True, gc=False):
     rate: float = 1.0
     """How fast the reference moves along the task: 1 as planned, 0 it stands."""
     reason: str = ""
-    """Why the platoon holds; empty while it does not."""
+    """Why the platoon holds, or for whom the reference waits and why; empty while neither is so."""
     goal: str = ""
     """The `id` of the last goal that was decided on."""
     goal_refused: str = ""
     """Why that goal was refused; empty where it was not."""
     supervisor: tuple[str, ...] = ()
     """What the supervisor does now, a line for each triangle it keeps from becoming singular."""
+    mission: int = 0
+    """The number of the `Mission` this belongs to."""
+    progress: Progress = Progress()
+    led: tuple[Led, ...] = ()
+    """What the supervisor remembers."""
+
+
+class Seat(msgspec.Struct, frozen=True, gc=False):
+    """One robot in the formation, whether it is there or not."""
+
+    id: str
+    place: int
+    """The index of its place among the points of the formation."""
+    incarnation: int = 0
+    """The life of its agent that is believed; 0 before the task has begun."""
+    frame_id: str = ""
+    """Of its odometry: the frame whose origin is the robot's initial pose."""
+    lost: bool = False
+    """Whether the others go on without it."""
+
+
+class Mission(Message, frozen=True, kw_only=True):
+    """What the platoon has to do, and who does what: all that a controller which is started again has to know
+    and that changes seldom. The rest is in `FormationState`."""
+
+    number: int
+    """Counts these within one life of the controller."""
+    stage: Stage
+    seats: tuple[Seat, ...]
+    task: Task | None = None
+    """The task, where it is not that of the scenario."""
+    course: Task | None = None
+    """The task with the way to its start, where there is one."""
+    points: tuple[tuple[float, float], ...] | None = None
+    """The places (m) of the formation, where they are not those of the scenario."""
+    built_from: tuple[tuple[float, float], ...] = ()
+    """While the formation is being built: where the control points of the chain began, in its frame (m)."""
+    hold: bool = False
+    """Whether an operator wants the platoon to stand."""
+    goal: str = ""
+    goal_refused: str = ""
+    """As in `FormationState`."""
+    progress: Progress = Progress()
+    """When this was sent. A `FormationState` with the same number in `mission` knows more."""
 
 
 class Goal(Message, frozen=True, kw_only=True):

@@ -90,6 +90,14 @@ TOPICS: tuple[Topic, ...] = (
         faults=True,
     ),
     Topic(
+        pattern="formation/mission",
+        type=messages.Mission,
+        rate_hz=0,
+        sender="controller",
+        latched=True,
+        faults=True,
+    ),
+    Topic(
         pattern="formation/goal",
         type=messages.Goal,
         rate_hz=0,
@@ -166,6 +174,7 @@ PLAN = "faults/plan"
 STOP = "platoon/stop"
 FORMATION_STATE = "formation/state"
 FORMATION_GOAL = "formation/goal"
+FORMATION_MISSION = "formation/mission"
 TRUTH = "sim/truth"
 
 

@@ -52,8 +52,22 @@ def examples() -> dict[str, Message]:
             reference_velocity=(0.1, 0.0, 0.0),
             chain=("r1", "r2", "r3"),
             errors=pack_floats([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]]),
-            roster=(messages.RobotReport("r1", "present", 0.1, "tracking", (0.26, 0.25)),),
+            roster=(
+                messages.RobotReport(
+                    "r1", "present", 0.1, "tracking", (0.26, 0.25), memory=((), (0.1, 0.0, -0.2, 0.0))
+                ),
+            ),
+            led=(messages.Led("p", 0, 1, -1.0),),
             points=pack_floats([[1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]),
+        ),
+        topics.FORMATION_MISSION: messages.Mission(
+            number=3,
+            stage="forming",
+            seats=(messages.Seat("r1", 2, 1, "r1/odom", True),),
+            task=Line(start=(0.0, 0.0), end=(1.0, 0.0), speed_mps=0.1),
+            points=((1.0, 0.0), (0.0, 1.0), (0.0, -1.0)),
+            built_from=((1.0, 0.5),),
+            progress=messages.Progress(1, 2, 3, 4),
         ),
         topics.FORMATION_GOAL: messages.Goal(
             id="op-1",

@@ -81,6 +81,7 @@ def test_commands_go_first_and_late_joiners_get_what_is_latched() -> None:
     assert {row.pattern for row in TOPICS if row.latched} == {
         "robot/{id}/odometry",
         "formation/state",
+        "formation/mission",
         "formation/goal",
         "platoon/stop",
         "faults/plan",
