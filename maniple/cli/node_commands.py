@@ -1,4 +1,4 @@
-"""One process of a platoon: `maniple agent`, `controller`, `simulator`, `recorder`, `router`.
+"""One process of a platoon: `maniple agent`, `controller`, `simulator`, `recorder`, `router`, `finish`.
 
 Parsed by the standard library: what the other commands need for theirs would take 15 MB and 0.4 s of each
 process of a run.
@@ -17,6 +17,7 @@ from maniple.core.errors import ArgumentError, ScenarioError
 from maniple.core.scenario.parse import parameters_of
 from maniple.core.scenario.types import Links, Scenario
 from maniple.host.clock import Anchor
+from maniple.host.ending import end_when_asked
 from maniple.transport.zenoh import DEFAULT_PORT, ZenohSession
 
 LOCAL = f"tcp/127.0.0.1:{DEFAULT_PORT}"
@@ -27,6 +28,7 @@ COMMANDS: Mapping[str, str] = {
     "simulator": "Run the simulator, which stands for the physical world.",
     "recorder": "Record everything until interrupted.",
     "router": "Run a router: it relays everything and keeps the last value of every latched topic.",
+    "finish": "Wait until the task is done, then end all processes of a platoon that nobody supervises.",
 }
 """What each does, by name."""
 
@@ -58,6 +60,7 @@ def _parser() -> ArgumentParser:
     made["simulator"].set_defaults(run=_node, name="simulator")
     made["recorder"].set_defaults(run=_recorder)
     made["router"].set_defaults(run=_router)
+    made["finish"].set_defaults(run=_finish)
     for name, command in made.items():
         _add_options(name, command)
     return parser
@@ -92,6 +95,10 @@ def _add_options(name: str, command: ArgumentParser) -> None:
         command.add_argument(
             "--log", type=Path, required=True, help="recording; an existing file is not overwritten"
         )
+    elif name == "finish":
+        command.add_argument(
+            "--duration", type=_seconds, help="of the run at most, in scenario time; by default from the task"
+        )
     else:
         command.add_argument(
             "--incarnation", type=_life, help="which life this is, from 1; by default the router tells"
@@ -102,6 +109,16 @@ def _life(text: str) -> int:
     if not (text.isdecimal() and int(text) > 0):
         raise ArgumentTypeError(f"{text}: must be a whole number from 1")
     return int(text)
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise ArgumentTypeError(f"{text}: must be a number of seconds above 0")
+    return value
 
 
 def _agent(
@@ -138,6 +155,8 @@ def _run_node(
         clock = told or clock_of(fleet)
         life = incarnation if incarnation is not None else next_incarnation(fleet, name)
         host = RealtimeHost(factories(scenario)[name](life), life, scenario, clock, fleet, wired)
+        if watch is _nobody:
+            end_when_asked(fleet, name, host.stop)
         with on_interrupt(host.stop):
             watch(host.stop)
             host.run()
@@ -160,6 +179,8 @@ def _recorder(scenario: str, log: Path, connect: str, hardware: str | None, anch
     )
     with writer, _networks(resolved, connect, hardware) as (fleet, wired):
         host = RecorderHost(writer, clock, [fleet] if wired is fleet else [fleet, wired])
+        if watch is _nobody:
+            end_when_asked(fleet, "recorder", host.stop)
         with on_interrupt(host.stop):
             watch(host.stop)
             host.run()
@@ -179,9 +200,33 @@ def _router(scenario: str | None, listen: str, prefix: str, anchor: str | None) 
         sys.stdout.write(f"listening on {listen}\n")
         sys.stdout.flush()
         host = RouterHost(session, clock)
+        if watch is _nobody:
+            end_when_asked(session, "router", host.stop)
         with on_interrupt(host.stop):
             watch(host.stop)
             host.run()
+
+
+def _finish(
+    scenario: str, connect: str, hardware: str | None, anchor: str | None, duration: float | None
+) -> None:
+    from maniple.cli.finish import Finisher
+    from maniple.cli.nodes import time_limit_s
+    from maniple.host.router import clock_of
+
+    resolved, watch = _scenario(scenario)
+    with _networks(resolved, connect, hardware) as (fleet, wired):
+        clock = _clock(anchor) or clock_of(fleet)
+        finisher = Finisher(resolved, fleet, wired, _say)
+        with on_interrupt(finisher.interrupt):
+            watch(finisher.interrupt)
+            if not finisher.run(time_limit_s(resolved, duration) / clock.speed):
+                sys.exit(130)
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
 
 
 @contextlib.contextmanager
