@@ -80,4 +80,4 @@ class Liveness:
         routed, changed = self._router_since
         if not routed:
             return now + 1
-        return max(end, changed + self._grace) if since <= changed else end
+        return max(end, changed + self._grace) if since < changed else end

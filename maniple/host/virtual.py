@@ -1,19 +1,22 @@
 """Virtual time: all nodes in one process, one event after the other, as fast as the machine can.
 
 Events are ordered by (time, deliveries before timers, receiver, sender, topic, seq), so the same scenario
-and seed give the same messages, byte for byte.
+and seed give the same messages, byte for byte. All times here are true scenario time; each node is only told
+what its own clock shows.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from heapq import heappop, heappush
 
+from maniple.core.clocks import NodeClock, node_clock
 from maniple.core.envelope import Envelope
-from maniple.core.faults import dies_with
+from maniple.core.faults import beside, dies_with, plan_of
 from maniple.core.node import Node
-from maniple.core.scenario.types import Crash, Scenario
+from maniple.core.scenario.types import Crash, Freeze, Scenario
 from maniple.core.streams import stream
 from maniple.core.time import VIRTUAL_EPOCH, Duration, Time, from_seconds
 from maniple.core.topics import topic
+from maniple.host.liveness import Liveness
 from maniple.host.runner import FLUSH_PERIOD, NodeRunner
 from maniple.transport.memory import MemoryNetwork
 
@@ -23,7 +26,29 @@ Tap = Callable[[Envelope, Time], None]
 Factory = Callable[[int], Node]
 """Makes a node, given its incarnation."""
 
-_DELIVERY, _TIMER, _FLUSH, _CRASH, _RESTART = 0, 1, 2, 3, 4
+_DELIVERY, _TIMER, _FLUSH, _CRASH, _RESTART, _FREEZE, _LEASE, _THAW = range(8)
+
+
+class _Seat:
+    """One life of a node in this host: its runner, its clock, and what it is told of the others."""
+
+    __slots__ = ("clock", "frozen_until", "liveness", "runner")
+
+    def __init__(self, node: Node, life: int, scenario: Scenario, clock: NodeClock | None) -> None:
+        self.runner = NodeRunner(node, life, scenario.rates)
+        self.clock = clock
+        self.liveness = Liveness(
+            node.name, from_seconds(scenario.network.lease_s), local=beside(node.name, scenario)
+        )
+        self.frozen_until: Time = 0
+
+    def shows(self, now: Time) -> Time:
+        """What its clock shows."""
+        return now if self.clock is None else self.clock.shown(now)
+
+    def after(self, now: Time, period: Duration) -> Time:
+        """When a period of its clock that begins now is over."""
+        return now + period if self.clock is None else self.clock.true(self.clock.shown(now) + period)
 
 
 class VirtualHost:
@@ -38,10 +63,14 @@ class VirtualHost:
     ) -> None:
         self.now: Time = VIRTUAL_EPOCH
         self._scenario = scenario
+        self._plan = plan_of(scenario, VIRTUAL_EPOCH)
+        self._lease = from_seconds(scenario.network.lease_s)
         self._factories = dict(factories or {})
         self._incarnations = {node.name: 1 for node in nodes}
         self._latched: dict[str, Envelope] = {}
-        self._runners = {node.name: NodeRunner(node, 1, scenario.rates) for node in nodes}
+        off = {error.node for error in scenario.clocks}
+        self._clocks = {name: node_clock(scenario, name, VIRTUAL_EPOCH) for name in sorted(off)}
+        self._seats = {node.name: self._seat(node, 1) for node in nodes}
         self._network = MemoryNetwork(scenario, {node.name: node.subscriptions for node in nodes})
         self._tap = tap
         self._tap_latency = from_seconds(scenario.network.fleet_latency_s)
@@ -52,41 +81,52 @@ class VirtualHost:
 
     def start(self) -> None:
         """Start all nodes, in the order of their names, and tell each who lives."""
-        for name in sorted(self._runners):
-            for other in sorted(self._runners):
-                self._runners[name].announced(other, 1)
-        for name in sorted(self._runners):
+        names = sorted(self._seats)
+        for name in names:
+            for other in names:
+                self._hear(name, other, 1, True)
+        for name in names:
             self._start(name)
-        for name in sorted(self._runners):
-            for other in sorted(self._runners.keys() - {name}):
-                self._send(self._runners[name].alive(other, 1, True, self.now))
-        for index, crash in enumerate(self._scenario.crashes):
+        for name in names:
+            self._tell(name)
+        for index, crash in enumerate(self._plan.crashes):
             self._push(self.now + from_seconds(crash.at_s), _CRASH, crash.node, life=index)
+        for index, freeze in enumerate(self._plan.freezes):
+            self._push(self.now + from_seconds(freeze.at_s), _FREEZE, freeze.node, life=index)
 
     def run(self, until: Time) -> None:
         """Go on until the time `until`, or until `halt` is called; at once if it was called before."""
         events = self._events
         while not self._halt and events and events[0][0] <= until:
-            time, kind, receiver, _, name, number, _, envelope = heappop(events)
+            time, kind, receiver, source, name, number, _, envelope = heappop(events)
             self.now = time
-            runner = self._runners.get(receiver)
+            seat = self._seats.get(receiver)
             if kind == _RESTART:
                 self._restart(receiver)
-            elif runner is None:
+            elif seat is None:
                 continue
+            elif kind <= _FLUSH and time < seat.frozen_until:
+                self._defer(seat, time, kind, receiver, source, name, number, envelope)
             elif kind == _DELIVERY:
                 assert envelope is not None
-                self._send(runner.receive(envelope, time))
+                self._send(seat.runner.receive(envelope, seat.shows(time)))
             elif kind == _CRASH:
-                self._crash(self._scenario.crashes[number])
-            elif number != runner.incarnation:
-                continue  # a timer of a former life
+                self._crash(self._plan.crashes[number])
+            elif kind == _FREEZE:
+                self._freeze(seat, self._plan.freezes[number])
+            elif number != seat.runner.incarnation:
+                continue  # of a former life
             elif kind == _TIMER:
-                self._push(time + runner.node.timers[name], _TIMER, receiver, name, number)
-                self._send(runner.timer(name, time))
-            else:
+                self._push(seat.after(time, seat.runner.node.timers[name]), _TIMER, receiver, name, number)
+                self._send(seat.runner.timer(name, seat.shows(time)))
+            elif kind == _FLUSH:
                 self._push(time + FLUSH_PERIOD, _FLUSH, receiver, life=number)
-                self._send(runner.flush(self._network.take_decided(receiver), time))
+                self._tell(receiver)
+                self._send(seat.runner.flush(self._network.take_decided(receiver), seat.shows(time)))
+            elif kind == _LEASE:
+                self._tell_life(receiver, False)
+            elif kind == _THAW and time >= seat.frozen_until:
+                self._tell_life(receiver, True)
         if not self._halt:
             self.now = max(self.now, until)
         self._halt = False
@@ -99,24 +139,27 @@ class VirtualHost:
         """Stop some nodes, in this order, for good."""
         for name in names:
             self._factories.pop(name, None)
-            if (runner := self._runners.pop(name, None)) is not None:
-                self._send(runner.stop(self._network.take_decided(name), self.now))
+            if (seat := self._seats.pop(name, None)) is not None:
+                self._send(seat.runner.stop(self._network.take_decided(name), seat.shows(self.now)))
                 self._tell_life(name, False)
+
+    def _seat(self, node: Node, life: int) -> _Seat:
+        return _Seat(node, life, self._scenario, self._clocks.get(node.name))
 
     def _start(self, name: str) -> None:
         """Begin a life of a node."""
-        runner = self._runners[name]
-        life = runner.incarnation
-        for timer, period in sorted(runner.node.timers.items()):
+        seat = self._seats[name]
+        life = seat.runner.incarnation
+        for timer, period in sorted(seat.runner.node.timers.items()):
             phase = timer_phase(self._seed, name, timer, period)
-            self._push(self.now + phase, _TIMER, name, timer, life)
+            self._push(seat.after(self.now, phase), _TIMER, name, timer, life)
         self._push(self.now + FLUSH_PERIOD, _FLUSH, name, life=life)
-        self._send(runner.start(self.now))
+        self._send(seat.runner.start(seat.shows(self.now)))
 
     def _crash(self, crash: Crash) -> None:
         """End the life of a node, and of those on the same computer, without a word."""
         for name in dies_with(crash.node, self._scenario):
-            if self._runners.pop(name, None) is None:
+            if self._seats.pop(name, None) is None:
                 continue
             self._network.take_decided(name)
             self._tell_life(name, False)
@@ -125,44 +168,91 @@ class VirtualHost:
 
     def _restart(self, name: str) -> None:
         """Begin the next life of a node that has died: it gets what is latched."""
-        if name not in self._factories:
+        if name not in self._factories or name in self._seats:
             return
         self._network.take_decided(name)  # of what nobody was there to receive
         life = self._incarnations[name] = self._incarnations[name] + 1
-        runner = self._runners[name] = NodeRunner(self._factories[name](life), life, self._scenario.rates)
+        seat = self._seats[name] = self._seat(self._factories[name](life), life)
+        for other in sorted(self._seats):
+            self._hear(name, other, self._incarnations[other], True)
         self._start(name)
         self._tell_life(name, True)
-        for other in sorted(self._runners.keys() - {name}):
-            self._send(runner.alive(other, self._incarnations[other], True, self.now))
-        for wanted in sorted(runner.node.subscriptions & self._latched.keys()):
-            self._deliver(self._latched[wanted], self.now + self._tap_latency, name)
+        self._tell(name)
+        shown = seat.shows(self.now)
+        for wanted in sorted(seat.runner.node.subscriptions & self._latched.keys()):
+            self._send(seat.runner.receive(self._latched[wanted], shown, latched=True))
+
+    def _freeze(self, seat: _Seat, freeze: Freeze) -> None:
+        """Let a node stand still. What is sent to it waits; its timers skip; its lease runs out."""
+        name, life = freeze.node, seat.runner.incarnation
+        until = self.now + from_seconds(freeze.for_s)
+        if self.now + self._lease < until:
+            self._push(self.now + self._lease, _LEASE, name, life=life)
+        seat.frozen_until = max(seat.frozen_until, until)
+        self._push(until, _THAW, name, life=life)
+
+    def _defer(
+        self,
+        seat: _Seat,
+        due: Time,
+        kind: int,
+        receiver: str,
+        source: str,
+        name: str,
+        number: int,
+        envelope: Envelope | None,
+    ) -> None:
+        """Put off what a frozen node can't do now: a timer to its next turn after the thaw."""
+        thaw = seat.frozen_until
+        if kind == _TIMER:
+            period = seat.after(due, seat.runner.node.timers[name]) - due
+            missed = -((due - thaw) // period)
+            if number == seat.runner.incarnation:
+                seat.runner.count("skipped_timers", missed)
+            thaw = due + missed * period
+        self._count += 1
+        heappush(self._events, (thaw, kind, receiver, source, name, number, self._count, envelope))
 
     def _tell_life(self, name: str, lives: bool) -> None:
-        for other in sorted(self._runners.keys() - {name}):
-            self._send(self._runners[other].alive(name, self._incarnations[name], lives, self.now))
+        """Show to the others that a node lives, or does not."""
+        for other in sorted(self._seats.keys() - {name}):
+            self._hear(other, name, self._incarnations[name], lives)
+            if self.now >= self._seats[other].frozen_until:
+                self._tell(other)
+
+    def _hear(self, name: str, other: str, life: int, lives: bool) -> None:
+        """Let a node's host know of a life of another."""
+        seat = self._seats[name]
+        if lives:
+            seat.runner.announced(other, life)
+        if other != name:
+            seat.liveness.heard(other, life, lives, self.now)
+
+    def _tell(self, name: str) -> None:
+        """Tell a node what it can know of who lives."""
+        seat = self._seats[name]
+        for node, life, alive in seat.liveness.visible(self._plan, self.now):
+            self._send(seat.runner.alive(node, life, alive, seat.shows(self.now)))
 
     def _send(self, envelopes: Iterable[Envelope]) -> None:
         now = self.now
         for envelope in envelopes:
             self._tap(envelope, now + self._tap_latency)
-            if self._scenario.crashes and topic(envelope.topic).latched:
+            if self._plan.crashes and topic(envelope.topic).latched:
                 self._latched[envelope.topic] = envelope
-            for due, receiver, arrived in self._network.send(envelope, now):
-                self._deliver(arrived, due, receiver)
-
-    def _deliver(self, envelope: Envelope, due: Time, receiver: str) -> None:
-        self._count += 1
-        event = (
-            due,
-            _DELIVERY,
-            receiver,
-            envelope.source,
-            envelope.topic,
-            envelope.seq,
-            self._count,
-            envelope,
-        )
-        heappush(self._events, event)
+            for due, receiver, delivered in self._network.send(envelope, now):
+                self._count += 1
+                event = (
+                    due,
+                    _DELIVERY,
+                    receiver,
+                    delivered.source,
+                    delivered.topic,
+                    delivered.seq,
+                    self._count,
+                    delivered,
+                )
+                heappush(self._events, event)
 
     def _push(self, due: Time, kind: int, receiver: str, name: str = "", life: int = 0) -> None:
         self._count += 1

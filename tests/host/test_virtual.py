@@ -203,3 +203,71 @@ def test_links_within_a_computer_have_no_faults() -> None:
     ages = [{at - m.answers.stamp_ns for at, m in robot.heard if isinstance(m, Command)} for robot in robots]
     assert max(ages[0]) < MILLISECOND
     assert min(ages[1]) >= 200 * MILLISECOND
+
+
+def stamps(said: list[tuple[Time, Envelope]], topic: str, source: str) -> list[float]:
+    """When a node said something on a topic, true time, s since the start."""
+    latency = MILLISECOND
+    return [
+        (at - latency - VIRTUAL_EPOCH) / SECOND for at, e in said if (e.topic, e.source) == (topic, source)
+    ]
+
+
+def alive_by(reporter: Reporter, node: str) -> list[tuple[float, bool]]:
+    """What a node was told of another's life, and when."""
+    return [
+        ((at - VIRTUAL_EPOCH) / SECOND, m.alive)
+        for at, m in reporter.heard
+        if isinstance(m, Alive) and m.node == node
+    ]
+
+
+def test_a_frozen_node_says_nothing_skips_its_timers_and_then_gets_what_waited() -> None:
+    said, robots = run(10.0, freezes=[{"node": "r2", "at_s": 3.0, "for_s": 4.0}])
+    spoken = stamps(said, topics.odometry("r2"), "r2")
+    assert not [t for t in spoken if 3.0 < t < 7.0]
+    phase = timer_phase(1, "r2", "report", SECOND // 10) / SECOND
+    assert {round((t - phase) % 0.1, 6) % 0.1 for t in spoken[:-1]} == {0.0}, "it keeps its phase"
+    assert len(spoken) == pytest.approx(60, abs=2), "and does not catch up"
+    assert alive_by(robots["r1"], "r2")[1:] == [(5.0, False), (7.0, True)]
+
+
+def test_what_was_sent_to_a_frozen_node_arrives_when_it_goes_on() -> None:
+    _, robots = run(10.0, freezes=[{"node": "controller", "at_s": 3.0, "for_s": 1.0}])
+    commands = [(at - VIRTUAL_EPOCH, m) for at, m in robots["r1"].heard if isinstance(m, Command)]
+    late = [at for at, m in commands if 3 * SECOND < m.answers.stamp_ns - VIRTUAL_EPOCH < 4 * SECOND]
+    assert len(late) == 10
+    assert set(late) == {4 * SECOND + MILLISECOND}
+    assert len(alive_by(robots["r1"], "controller")) == 2, "it was shorter than the lease"
+
+
+def test_a_node_sees_only_its_own_clock_and_its_timers_go_by_it() -> None:
+    error = {"node": "r1", "offset_s": -1000.0, "skew_ppm": 5000.0}
+    said, robots = run(100.0, clocks=[error])
+    true = stamps(said, topics.odometry("r1"), "r1")[:-1]
+    shown = [e.stamp_ns for _, e in said if e.topic == topics.odometry("r1")][:-1]
+    assert shown[0] == pytest.approx(VIRTUAL_EPOCH - 1000 * SECOND, abs=SECOND)
+    assert {b - a for a, b in pairwise(shown)} <= {SECOND // 10 + k for k in (-1, 0, 1)}
+    assert (true[-1] - true[0]) * 1.005 == pytest.approx((shown[-1] - shown[0]) / SECOND, abs=1e-6)
+    ages = [at - m.answers.stamp_ns for at, m in robots["r1"].heard if isinstance(m, Command)]
+    assert max(ages) - min(ages) < MILLISECOND, "the round trip by its own clock"
+
+
+def test_a_partition_ends_what_is_heard_and_after_the_lease_who_lives() -> None:
+    cut = {"groups": [["r2"]], "at_s": 2.0, "for_s": 4.0}
+    _, robots = run(10.0, partitions=[cut])
+    gap = [(at - VIRTUAL_EPOCH) / SECOND for at, m in robots["r2"].heard if isinstance(m, Command)]
+    assert not [t for t in gap if 2.01 < t < 6.0]
+    (ends, gone), (back, there) = alive_by(robots["r2"], "controller")[1:3]
+    assert (gone, there) == (False, True)
+    assert (ends, back) == (pytest.approx(4.1, abs=0.2), pytest.approx(6.1, abs=0.2))
+    assert len([m for _, m in robots["r1"].heard if isinstance(m, Command)]) == 100
+
+
+def test_the_same_faults_say_the_same_bytes() -> None:
+    plan: dict[str, Any] = {
+        "faults": [{"loss": 0.2, "duplicate": 0.1, "corrupt": 0.1, "reorder": 0.1, "jitter_s": 0.1}],
+        "freezes": [{"node": "r1", "at_s": 1.0, "for_s": 0.5}],
+        "clocks": [{"node": "r2", "offset_s": 7.0, "skew_ppm": -100}],
+    }
+    assert run(5.0, **plan)[0] == run(5.0, **plan)[0]
