@@ -11,15 +11,15 @@ import msgspec
 from maniple.cli.extensions import require_layers
 from maniple.cli.loading import completed, load
 from maniple.cli.machine import describe_machine
+from maniple.cli.outcome import Outcome, recordings_of
 from maniple.cli.progress import Progress
 from maniple.cli.realtime import run_realtime
 from maniple.cli.virtual import run_virtual
 from maniple.core.errors import ArgumentError, RecordingError, ScenarioError
 from maniple.core.scenario.types import Scenario
 from maniple.host.clock import FASTEST, SLOWEST
-from maniple.recording.info import describe
-from maniple.recording.reader import read
-from maniple.report.summary import Errors, MessageCounts, Percentiles, RunFigures
+from maniple.recording.info import missing
+from maniple.report.summary import Errors, MessageCounts, Percentiles
 
 
 class Result(msgspec.Struct, frozen=True):
@@ -50,13 +50,17 @@ class Result(msgspec.Struct, frozen=True):
     command_age_ms: Percentiles
     """Of what the robots acted on, by their own clocks."""
     log: str
-    """The recording."""
+    """The recording, or its first part."""
     lost_robots: list[str] = []
     """Robots that the controller ever gave up as lost."""
     odometry_drift_m: float | None = None
     """Largest distance, at the end, from where a control point is to where dead reckoning puts it."""
     unrecorded: int = 0
     """Messages that the recording lacks, by their sequence numbers."""
+    logs: list[str] = []
+    """All parts of the recording, in order: a recorder that is started again goes on in a new one."""
+    restarts: dict[str, int] = {}
+    """How often each process was started again."""
     interrupted: bool = False
 
     @property
@@ -74,6 +78,7 @@ def run(
     seed: int | None = None,
     overrides: Sequence[str] = (),
     log: Path | str | None = None,
+    keep_alive: bool = False,
     on_progress: Callable[[Progress], None] = lambda _: None,
     on_notice: Callable[[str], None] = lambda _: None,
 ) -> Result:
@@ -82,37 +87,41 @@ def run(
     `scenario` is a file or a `Scenario`; `overrides` are as `--set` takes them ("controller.kappa=0.3").
     With `virtual` all nodes run in this process in virtual time, else each in a process of its own over
     Zenoh at `speed` times the wall clock. An existing `log` is not overwritten; by default a new file in
-    `logs/`. `on_notice` gets a line for each robot that dies or comes back.
+    `logs/`. With `keep_alive` every process but the simulator that dies is started again. `on_notice` gets a
+    line for each process that dies, freezes or comes back.
 
     Raises:
-        ArgumentError: speed or duration is not valid.
+        ArgumentError: speed or duration is not valid, or there are no processes to keep alive.
         ScenarioError: the scenario is not valid.
         RecordingError: the recording can't be written.
         RunError: a process of the run failed; the recording up to then is there.
     """
-    _require_valid(virtual, speed, duration_s)
+    _require_valid(virtual, speed, duration_s, keep_alive)
     given = None if log is None else _given_path(Path(log))
     resolved = _resolved(scenario, overrides, seed)
     require_layers(resolved)
     path = given or _new_path(f"{resolved.name}-{'virtual-' if virtual else ''}")
-    mode = "virtual" if virtual else "realtime"
     begin = time.perf_counter()
+    unrecorded = 0
     if virtual:
-        metadata = describe_machine(resolved, mode)
-        figures, interrupted = run_virtual(resolved, path, metadata, duration_s, on_progress)
+        metadata = describe_machine(resolved, "virtual")
+        outcome = run_virtual(resolved, path, metadata, duration_s, on_progress)
     else:
-        figures, interrupted = run_realtime(resolved, path, speed, duration_s, on_progress, on_notice)
-    unrecorded = describe(read(path)).missing if not virtual and path.exists() else 0
-    return _result(resolved, mode, figures, time.perf_counter() - begin, path, unrecorded, interrupted)
+        outcome = run_realtime(resolved, path, speed, duration_s, on_progress, on_notice, keep_alive)
+        unrecorded = missing(recordings_of(outcome.logs))
+    wall_s = time.perf_counter() - begin
+    return _result(resolved, "virtual" if virtual else "realtime", outcome, path, wall_s, unrecorded)
 
 
-def _require_valid(virtual: bool, speed: float, duration_s: float | None) -> None:
+def _require_valid(virtual: bool, speed: float, duration_s: float | None, keep_alive: bool) -> None:
     if not SLOWEST <= speed <= FASTEST:
         raise ArgumentError(f"speed = {speed:g}: must be from {SLOWEST:g} to {FASTEST:g}")
     if virtual and speed != 1.0:
         raise ArgumentError(
             f"speed = {speed:g}: virtual time goes as fast as it can; speed is for real processes"
         )
+    if virtual and keep_alive:
+        raise ArgumentError("keep alive: there are no processes in virtual time; the scenario says who dies")
     if duration_s is not None and not 0 < duration_s < 1e9:
         raise ArgumentError(f"duration = {duration_s:g} s: must be above 0 and less than 1e9")
 
@@ -153,14 +162,9 @@ def _new_path(stem: str) -> Path:
 
 
 def _result(
-    scenario: Scenario,
-    mode: str,
-    figures: RunFigures,
-    wall_s: float,
-    path: Path,
-    unrecorded: int,
-    interrupted: bool,
+    scenario: Scenario, mode: str, outcome: Outcome, path: Path, wall_s: float, unrecorded: int
 ) -> Result:
+    figures = outcome.figures
     return Result(
         scenario=scenario.name,
         mode=mode,
@@ -170,6 +174,8 @@ def _result(
         real_time_factor=round(figures.duration_s / wall_s, 3),
         log=str(path),
         unrecorded=unrecorded,
-        interrupted=interrupted,
+        logs=[str(log) for log in outcome.logs],
+        restarts=dict(outcome.restarts),
+        interrupted=outcome.interrupted,
         **msgspec.structs.asdict(figures),
     )

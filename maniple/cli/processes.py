@@ -9,6 +9,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 from maniple.core.errors import RunError
@@ -28,10 +29,12 @@ class Process(NamedTuple):
     arguments: tuple[str, ...]
     """Of `maniple`."""
 
-    def again(self, life: int) -> "Process":
-        """The same for another life of its node."""
-        *before, _ = self.arguments[: self.arguments.index("--incarnation") + 2]
-        return self._replace(arguments=(*before, str(life)))
+    def having(self, option: str, value: str) -> "Process":
+        """The same with another value of an option; without that option, itself."""
+        if option not in self.arguments:
+            return self
+        place = self.arguments.index(option) + 1
+        return self._replace(arguments=(*self.arguments[:place], value, *self.arguments[place + 1 :]))
 
 
 def table(scenario: Scenario, connect: str, anchor: str, log: str) -> tuple[tuple[Process, ...], ...]:
@@ -105,6 +108,15 @@ class Child:
         """Whether it still runs."""
         return self._popen.poll() is None
 
+    @property
+    def frozen(self) -> bool:
+        """Whether it is stopped, as by SIGSTOP; never where there is no /proc."""
+        try:
+            stat = Path(f"/proc/{self.pid}/stat").read_bytes()
+        except (FileNotFoundError, ProcessLookupError):
+            return False
+        return stat.rpartition(b")")[2].split()[0] == b"T"
+
     def spoke(self, timeout_s: float) -> bool:
         """Whether it has said something on its standard output; waits for that."""
         return self._spoke.wait(timeout_s)
@@ -114,11 +126,6 @@ class Child:
         if self.alive:
             self._popen.send_signal(signal.SIGINT)
             self._popen.send_signal(signal.SIGCONT)  # one that is frozen would not hear it
-
-    def kill(self) -> None:
-        """End it without a word, and wait for that."""
-        self._popen.kill()
-        self._popen.wait()
 
     def finish(self, until: float) -> None:
         """Wait for its end, and end it by force at `until` (monotonic seconds)."""
@@ -133,8 +140,8 @@ class Child:
         with contextlib.suppress(BrokenPipeError):
             self._popen.stdin.close()
 
-    def epitaph(self) -> str:
-        """How it ended, with its last words."""
+    def epitaph(self, consequence: str = "") -> str:
+        """How it ended and what comes of it, with its last words."""
         code = self._popen.poll()
         if code is None:
             how = "still runs"
@@ -144,7 +151,8 @@ class Child:
             how = f"ended with status {code}"
         self._threads[-1].join(0.2)
         words = "\n  ".join(self._last_words)
-        return f"{self.name} (process {self.pid}) {how}" + (f"; its last words:\n  {words}" if words else "")
+        ended = f"{self.name} (process {self.pid}) {how}{consequence}"
+        return f"{ended}; its last words:\n  {words}" if words else ended
 
     def _feed(self, scenario_json: bytes) -> None:
         """Write the scenario, which may be more than a pipe holds, and keep the pipe open."""

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -37,8 +37,12 @@ class Progress(NamedTuple):
     robots: Mapping[str, RobotProgress]
     waits_for: tuple[str, ...] = ()
     """The robots that do not follow."""
+    reason: str = ""
+    """Why the platoon waits or holds, in the controller's words."""
     connect: str = ""
     """Where the router listens; empty in virtual time."""
+    processes: Mapping[str, str] = MappingProxyType({})
+    """The processes that are "dead" or "frozen" now; none in virtual time."""
 
 
 class ProgressWatch:
@@ -80,7 +84,14 @@ class ProgressWatch:
         angle = float(np.abs(errors[:, [2, 5]]).max(initial=0.0))
         waits_for = state.waits_for if state.phase == "running" else ()
         return Progress(
-            state.phase, state.task_time_s, state.task_duration_s, position, angle, robots, waits_for
+            state.phase,
+            state.task_time_s,
+            state.task_duration_s,
+            position,
+            angle,
+            robots,
+            waits_for,
+            state.reason,
         )
 
 
@@ -128,19 +139,30 @@ class LiveProgress:
 def line(progress: Progress) -> str:
     """Progress in one line."""
     modes = " ".join(f"{name}:{robot.mode}" for name, robot in progress.robots.items())
+    out = "".join(f", {name} is {how}" for name, how in progress.processes.items())
     at = f", router at {progress.connect}" if progress.connect else ""
     return (
         f"{phase(progress)} {progress.task_time_s:.1f}/{progress.task_duration_s:.1f} s, "
-        f"error {progress.position_error_m:.3f} m {progress.angle_error_rad:.3f} rad, {modes}{at}"
+        f"error {progress.position_error_m:.3f} m {progress.angle_error_rad:.3f} rad, {modes}{out}{at}"
     )
 
 
 def phase(progress: Progress) -> str:
-    """What the platoon is at."""
-    return f"waits for {', '.join(progress.waits_for)}" if progress.waits_for else progress.phase
+    """What the platoon is at, and why it is no further."""
+    if not progress.waits_for:
+        return f"{progress.phase} ({progress.reason})" if progress.reason else progress.phase
+    waits = f"waits for {', '.join(progress.waits_for)}"
+    return progress.reason if progress.reason.startswith("waits for") else waits
 
 
-_COLOURS = {"tracking": "green", "waiting": "yellow", "holding": "yellow", "stopped": "red", "fault": "red"}
+_COLOURS = {
+    "tracking": "green",
+    "waiting": "yellow",
+    "holding": "yellow",
+    "emergency": "red",
+    "stopped": "red",
+    "fault": "red",
+}
 
 
 def picture(name: str, progress: Progress) -> Group:
@@ -160,4 +182,5 @@ def picture(name: str, progress: Progress) -> Group:
         mode = Text(state.mode, style=_COLOURS.get(state.mode, "dim"))
         robots.add_row(robot, mode, age, state.guard, Text(state.reason))
     about = Text.assemble((name, "bold"), "  ", (progress.connect, "dim"))
-    return Group(about, head, robots)
+    out = [Text(f"{name} is {how}", style="red") for name, how in progress.processes.items()]
+    return Group(about, head, robots, *out)

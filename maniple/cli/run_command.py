@@ -31,6 +31,9 @@ def run(
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a field of the scenario.")
     ] = None,
     log: Annotated[Path | None, typer.Option(help="Recording; by default a new file in logs/.")] = None,
+    keep_alive: Annotated[
+        bool, typer.Option("--keep-alive", help="Start again whatever dies, but for the simulator.")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> None:
     """Run a scenario to the end of its task and record everything.
@@ -48,6 +51,7 @@ def run(
             seed=seed,
             overrides=overrides or (),
             log=log,
+            keep_alive=keep_alive,
             on_progress=show,
             on_notice=show.notice,
         )
@@ -56,7 +60,8 @@ def run(
     else:
         console = Console()
         console.print(_summary(result))
-        console.print("  recording", result.log, highlight=False, markup=False, soft_wrap=True)
+        for part in result.logs or [result.log]:
+            console.print("  recording", part, highlight=False, markup=False, soft_wrap=True)
         if result.unrecorded:
             console.print(f"  {result.unrecorded} messages are missing in it: maniple log info", style="red")
     raise typer.Exit(130 if result.interrupted else 0 if result.ok else 1)
@@ -84,6 +89,9 @@ def _summary(result: Result) -> Table:
         table.add_row("odometry", f"off by {result.odometry_drift_m:.3f} m at the end")
     if result.lost_robots:
         table.add_row("lost on the way", ", ".join(result.lost_robots))
+    if result.restarts:
+        restarts = (f"{name} {times} x" if times > 1 else name for name, times in result.restarts.items())
+        table.add_row("started again", ", ".join(restarts))
     age = result.command_age_ms
     if age.p50 is not None and age.p99 is not None:
         table.add_row("command age", f"{age.p50:.0f} ms median, {age.p99:.0f} ms p99")

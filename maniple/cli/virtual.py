@@ -5,6 +5,7 @@ from pathlib import Path
 
 from maniple.cli.interrupt import on_interrupt
 from maniple.cli.nodes import RUNDOWN_S, factories, time_limit_s
+from maniple.cli.outcome import Outcome
 from maniple.cli.progress import Progress, ProgressWatch
 from maniple.core import codec
 from maniple.core.envelope import Envelope
@@ -14,7 +15,7 @@ from maniple.core.scenario.types import Scenario
 from maniple.core.time import Time, from_seconds
 from maniple.host.virtual import VirtualHost
 from maniple.recording.writer import RecordingWriter
-from maniple.report.summary import RunFigures, Summary
+from maniple.report.summary import Summary
 
 
 def run_virtual(
@@ -23,8 +24,8 @@ def run_virtual(
     metadata: Mapping[str, str],
     duration_s: float | None,
     on_progress: Callable[[Progress], None],
-) -> tuple[RunFigures, bool]:
-    """Run to the end of the task, or of `duration_s`; returns the figures, and whether it was interrupted.
+) -> Outcome:
+    """Run to the end of the task, or of `duration_s`.
 
     Raises:
         RecordingError: the recording can't be written.
@@ -67,4 +68,4 @@ def run_virtual(
         host.stop(robot.id for robot in scenario.robots)
         host.run(host.now + from_seconds(RUNDOWN_S))
         host.stop(["simulator"])
-    return summary.figures(), interrupted
+    return Outcome(summary.figures(), interrupted, (log,), {})

@@ -1,6 +1,7 @@
 """What a recording holds: channels, counts, rates, and gaps by sequence number."""
 
 from collections import defaultdict
+from collections.abc import Iterable
 
 import msgspec
 
@@ -102,6 +103,19 @@ def describe(recording: Recording) -> Info:
         channels=channels,
         metadata=dict(metadata),
     )
+
+
+def missing(parts: Iterable[Recording]) -> int:
+    """How many messages are missing, by their sequence numbers, in the parts of one recording together.
+
+    Raises:
+        RecordingError: a file is damaged.
+    """
+    tallies: defaultdict[str, _Channel] = defaultdict(_Channel)
+    for part in parts:
+        for record in part.messages():
+            tallies[record.topic].add(record)
+    return sum(tally.info(name).missing for name, tally in tallies.items())
 
 
 class _Channel:
