@@ -6,12 +6,22 @@ from typing import Literal, TypeAlias
 from maniple.core.messages import Mode
 
 Event: TypeAlias = Literal[
-    "layer_failed", "driver_lost", "driver_ready", "driver_active", "blind", "fresh", "aging", "old", "stop"
+    "layer_failed",
+    "driver_lost",
+    "driver_ready",
+    "driver_active",
+    "blind",
+    "fresh",
+    "aging",
+    "old",
+    "emergency",
+    "armed",
+    "stop",
 ]
 """What a tick finds of its own layers: one has failed, for good. What it finds of the driver: silent, faulty
 or not controllable; there but not active; active. If it is active: no ranges known where they are needed.
-What it finds of the command, if it sees: young enough; old enough to slow down; too old to move. And the end
-of the agent."""
+What it finds of the command, if it sees: young enough; old enough to slow down; too old to move. What an
+operator says: everything stands; it may move again. And the end of the agent."""
 
 TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("waiting", "layer_failed"): "fault",
@@ -22,6 +32,8 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("waiting", "fresh"): "tracking",
     ("waiting", "aging"): "holding",
     ("waiting", "old"): "waiting",
+    ("waiting", "emergency"): "emergency",
+    ("waiting", "armed"): "waiting",
     ("waiting", "stop"): "stopped",
     ("tracking", "layer_failed"): "fault",
     ("tracking", "driver_lost"): "fault",
@@ -31,6 +43,8 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("tracking", "fresh"): "tracking",
     ("tracking", "aging"): "holding",
     ("tracking", "old"): "holding",
+    ("tracking", "emergency"): "emergency",
+    ("tracking", "armed"): "tracking",
     ("tracking", "stop"): "stopped",
     ("holding", "layer_failed"): "fault",
     ("holding", "driver_lost"): "fault",
@@ -40,7 +54,20 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("holding", "fresh"): "tracking",
     ("holding", "aging"): "holding",
     ("holding", "old"): "holding",
+    ("holding", "emergency"): "emergency",
+    ("holding", "armed"): "holding",
     ("holding", "stop"): "stopped",
+    ("emergency", "layer_failed"): "emergency",
+    ("emergency", "driver_lost"): "emergency",
+    ("emergency", "driver_ready"): "emergency",
+    ("emergency", "driver_active"): "emergency",
+    ("emergency", "blind"): "emergency",
+    ("emergency", "fresh"): "emergency",
+    ("emergency", "aging"): "emergency",
+    ("emergency", "old"): "emergency",
+    ("emergency", "emergency"): "emergency",
+    ("emergency", "armed"): "waiting",
+    ("emergency", "stop"): "stopped",
     ("stopped", "layer_failed"): "stopped",
     ("stopped", "driver_lost"): "stopped",
     ("stopped", "driver_ready"): "stopped",
@@ -49,6 +76,8 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("stopped", "fresh"): "stopped",
     ("stopped", "aging"): "stopped",
     ("stopped", "old"): "stopped",
+    ("stopped", "emergency"): "stopped",
+    ("stopped", "armed"): "stopped",
     ("stopped", "stop"): "stopped",
     ("fault", "layer_failed"): "fault",
     ("fault", "driver_lost"): "fault",
@@ -58,6 +87,8 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("fault", "fresh"): "fault",
     ("fault", "aging"): "fault",
     ("fault", "old"): "fault",
+    ("fault", "emergency"): "emergency",
+    ("fault", "armed"): "fault",
     ("fault", "stop"): "stopped",
 }
 """The mode after an event, for every mode and event."""
@@ -66,16 +97,19 @@ MOVES: Mapping[Mode, bool] = {
     "waiting": False,
     "tracking": True,
     "holding": True,
+    "emergency": False,
     "stopped": False,
     "fault": False,
 }
 """Whether the drive gets anything but zero. (A holding robot slows down and stands by its guard.)"""
 
-WANTS_DRIVER: Mapping[Mode, bool] = {
+WANTS_DRIVER: Mapping[Mode, bool | None] = {
     "waiting": True,
     "tracking": True,
     "holding": True,
+    "emergency": None,
     "stopped": False,
     "fault": False,
 }
-"""Whether the driver is asked to be active."""
+"""Whether the driver is asked to be active; None: as before, so that a drive that is active brakes and holds
+the robot, and one that is not stays off."""

@@ -5,16 +5,16 @@ from collections.abc import Callable, Mapping, Sequence
 
 from maniple.control import guard
 from maniple.control.builtin import BUILTIN
-from maniple.control.limits import Velocity, limits_of
+from maniple.control.limits import Limits, Velocity, aged, limits_of
 from maniple.control.parts import Parts
 from maniple.control.pipeline import Pipeline, onboard_layers
 from maniple.core import topics
 from maniple.core.errors import ScenarioError
-from maniple.core.geometry import Pose
 from maniple.core.messages import (
     Command,
     Counters,
     Drive,
+    EmergencyStop,
     Message,
     Mode,
     Motion,
@@ -30,6 +30,8 @@ from maniple.core.time import Duration, Time, from_seconds, period, to_seconds
 from robot_agent import dead_reckoning, modes
 from robot_agent.drivers import capabilities_of
 from robot_agent.drivers.interface import COUNTS, EVENTS, within
+from robot_agent.emergency import Emergency
+from robot_agent.localisation import Localisation
 from robot_agent.orders import Orders
 from robot_agent.range_sensing import RangeSensing
 
@@ -44,9 +46,10 @@ _STANDING = Velocity()
 class RobotAgent:
     """Guides one robot of a resolved scenario: from the cut of the layers on, and with the last word.
 
-    `incarnation` is the life of this agent: commands that answer an earlier one are not acted on. A later
-    life than the first resumes the odometry frame of the one before, from its last odometry and the encoder
-    counts since. Until it hears that it goes by a frame of its own, named otherwise, and takes no commands.
+    `incarnation` is the life of this agent: commands that answer an earlier one are not acted on. Until a
+    later life than the first knows where its odometry frame lies it takes no commands. An operator's
+    emergency stop is above all: until it is armed again the robot stands, and then it moves only on a command
+    that was computed from what it said since.
 
     Raises:
         ScenarioError: the scenario has no such robot, or its driver can't be commanded.
@@ -59,7 +62,6 @@ class RobotAgent:
         model, layer = scenario.model_of(robot), scenario.placement.robot_from
         capabilities = capabilities_of(scenario, robot)
         self._id = robot_id
-        self._frame = capabilities.frame
         self._odometry, self._ranges = topics.odometry(robot_id), topics.ranges(robot_id)
         self._drive, self._status = topics.drive(robot_id), topics.status(robot_id)
         self._guard = scenario.guard
@@ -71,20 +73,19 @@ class RobotAgent:
         self._scan_stale = _stale_after(topics.scan(robot_id), capabilities.scan_hz)
         self._sensing = RangeSensing(self._scan_stale)
         self._orders = Orders(layer, incarnation)
+        self._emergency = Emergency()
         self._reckoning = dead_reckoning.Reckoning()
-        self._incarnation = incarnation
-        self._localised = incarnation <= 1
-        self._resumed_at: Time = 0
-        self._former: Odometry | None = None
-        self._first: tuple[Motion, Time] | None = None
+        self._frame = Localisation(capabilities.frame, incarnation, self._wheels)
         self._motion: Motion | None = None
         self._motion_at: Time = 0
         self._mode: Mode = "waiting"
+        self._active = True
         self._sent = _STANDING
         self._wanted = _STANDING
         self._begun = False
         self._verdict: guard.Reason = "none"
         self._applied: Stamp | None = None
+        self._applied_since: Time = 0
         self._oldest_s = -1.0
         self._driven: Time | None = None
         self._counted: Counter[str] = Counter()
@@ -95,6 +96,7 @@ class RobotAgent:
             topics.scan(robot_id): self._on_scan,
             topics.command(robot_id): self._on_command,
             self._odometry: self._on_own_odometry,
+            topics.STOP: self._on_operator,
         }
 
     @property
@@ -114,6 +116,7 @@ class RobotAgent:
 
     def on_start(self, now: Time) -> Sequence[Outgoing]:
         """Say that the robot is there, and waiting."""
+        self._orders.begin(now)
         return (self._report(now),)
 
     def on_message(self, message: Received, now: Time) -> Sequence[Outgoing]:
@@ -123,7 +126,9 @@ class RobotAgent:
 
     def on_timer(self, timer: str, now: Time) -> Sequence[Outgoing]:
         """Command the drive, or report."""
-        return (self._command_drive(now) if timer == DRIVE else self._report(now),)
+        if timer != DRIVE:
+            return (self._report(now),)
+        return *self._resume(now), self._command_drive(now)
 
     def on_stop(self, now: Time) -> Sequence[Outgoing]:
         """Let the drive brake and deactivate."""
@@ -145,12 +150,11 @@ class RobotAgent:
         if jumped:
             self._counted["encoder_jumps"] += 1
         self._motion, self._motion_at = motion, now
-        if self._first is None:
-            self._first = motion, now
+        self._frame.counted(motion, now)
         resumed = self._resume(now)
         pose, (u, w, v) = self._reckoning.pose, self._reckoning.velocity
         odometry = Odometry(
-            frame_id=self._frame if self._localised else f"{self._frame}/{self._incarnation}",
+            frame_id=self._frame.frame_id,
             x_m=pose.x,
             y_m=pose.y,
             psi_rad=pose.psi,
@@ -158,6 +162,7 @@ class RobotAgent:
             w_radps=w,
             v_mps=v,
             applied=self._applied,
+            held_ns=0 if self._applied is None else now - self._applied_since,
             ticks=motion.ticks,
             motion_incarnation=motion.incarnation,
         )
@@ -165,25 +170,28 @@ class RobotAgent:
 
     def _on_own_odometry(self, odometry: Odometry, now: Time) -> Sequence[Outgoing]:
         """The last word of an earlier life."""
-        if odometry.incarnation < self._incarnation and odometry.frame_id == self._frame:
-            self._former = odometry
+        self._frame.heard(odometry)
         return self._resume(now)
 
     def _resume(self, now: Time) -> Sequence[Outgoing]:
-        """Go on in the frame of the life before, as soon as its odometry and the counts are known: the robot
-        went on an arc in between, or stayed where it was if the counts began anew."""
-        former = self._former
-        if self._localised or former is None or self._first is None:
+        """Go on in the frame of the life before, as soon as it is known where that lies."""
+        origin = self._frame.resume(now)
+        if origin is None:
             return ()
-        motion, counted_at = self._first
-        same = motion.incarnation == former.motion_incarnation and len(former.ticks) == len(motion.ticks)
-        pose = Pose(former.x_m, former.y_m, former.psi_rad)
-        last = dead_reckoning.Reckoning(pose, ticks=former.ticks if same else None, stamp=former.stamp_ns)
-        origin, _ = dead_reckoning.step(self._wheels, last, motion.ticks, counted_at)
-        self._reckoning = self._reckoning._replace(pose=origin.pose.compose(self._reckoning.pose))
+        self._reckoning = self._reckoning._replace(pose=origin.compose(self._reckoning.pose))
         self._sensing = RangeSensing(self._scan_stale)
-        self._localised, self._resumed_at = True, now
+        self._orders.begin(now)
         return (self._report(now),)
+
+    def _on_operator(self, said: EmergencyStop, now: Time) -> Sequence[Outgoing]:
+        """Stand at once, or be ready to move again."""
+        change = self._emergency.take(said)
+        if change is None:
+            return ()
+        self._mode = modes.TRANSITIONS[self._mode, change]
+        if change == "armed":
+            self._orders.begin(now)
+        return self._stand(), self._report(now)
 
     def _on_scan(self, scan: Scan, now: Time) -> Sequence[Outgoing]:
         """Pass it on as it is, mount included."""
@@ -192,10 +200,7 @@ class RobotAgent:
         return (Outgoing(self._ranges, scan),)
 
     def _on_command(self, command: Command, now: Time) -> Sequence[Outgoing]:
-        if not self._localised or command.answers.stamp_ns < self._resumed_at:
-            self._counted["refused_unlocalised"] += 1
-            return ()
-        refusal = self._orders.take(command, now)
+        refusal = self._orders.take(command, now) if self._frame.known else "unlocalised"
         if refusal is not None:
             self._counted[f"refused_{refusal}"] += 1
         return ()
@@ -203,7 +208,7 @@ class RobotAgent:
     def _on_host(self, message: Message) -> Sequence[Outgoing]:
         """Count what never got here, and what the host counts."""
         if isinstance(message, Refused):
-            self._counted[f"refused_{message.reason}"] += 1
+            self._counted[f"refused_{message.reason}"] += message.count
         elif isinstance(message, Counters):
             self._host_counters = message.counters
         return ()
@@ -213,7 +218,8 @@ class RobotAgent:
         dt_s = self._elapsed_s(now)
         age_s = self._orders.age_s(now)
         self._oldest_s = max(self._oldest_s, age_s)
-        self._mode = self._next_mode(age_s, now)
+        limits = self._limits_now()
+        self._mode = self._next_mode(age_s, limits, now)
         command, pose = self._orders.command, self._reckoning.pose
         if command is None:
             return self._stand()
@@ -227,16 +233,24 @@ class RobotAgent:
         if self._guard.clearance:
             seen = self._sensing.around(pose, now)
         self._sent, self._verdict = guard.step(
-            self._guard, self._limits, self._sent, wanted, age_s, seen, dt_s, measured
+            self._guard, limits, self._sent, wanted, age_s, seen, dt_s, measured
         )
+        if self._verdict == "speed":
+            self._counted["clipped"] += 1
         u, w, v = self._sent
-        self._applied = self._orders.stamp()
+        self._applied, self._applied_since = self._orders.stamp(), self._orders.arrived
         return Outgoing(self._drive, Drive(u_mps=u, w_radps=w, v_mps=v, active=True))
 
     def _stand(self, verdict: guard.Reason = "none") -> Outgoing:
         self._sent, self._verdict = _STANDING, verdict
         wanted = modes.WANTS_DRIVER[self._mode]
-        return Outgoing(self._drive, Drive(u_mps=0.0, w_radps=0.0, active=wanted))
+        self._active = self._active if wanted is None else wanted
+        return Outgoing(self._drive, Drive(u_mps=0.0, w_radps=0.0, active=self._active))
+
+    def _limits_now(self) -> Limits:
+        """With the age that the command bears."""
+        command = self._orders.command
+        return self._limits if command is None else aged(self._limits, command.stop_after_s)
 
     def _elapsed_s(self, now: Time) -> float:
         """Since the tick before. 0 at the first, and after a silence in which the drive has braked by itself:
@@ -248,18 +262,20 @@ class RobotAgent:
         self._sent = _STANDING
         return 0.0
 
-    def _next_mode(self, age_s: float, now: Time) -> Mode:
+    def _next_mode(self, age_s: float, limits: Limits, now: Time) -> Mode:
+        if self._emergency.stopped:
+            return modes.TRANSITIONS[self._mode, "emergency"]
         if self._pipeline.fault:
             return modes.TRANSITIONS[self._mode, "layer_failed"]
         event = self._driver_event(now)
         mode = modes.TRANSITIONS[self._mode, event]
         if event != "driver_active" or self._orders.command is None:
             return mode
-        if age_s >= self._limits.stop_s:
+        if age_s >= limits.stop_s:
             return modes.TRANSITIONS[mode, "old"]
         if self._blind(now):
             return modes.TRANSITIONS[mode, "blind"]
-        return modes.TRANSITIONS[mode, "aging" if age_s > self._limits.hold_s else "fresh"]
+        return modes.TRANSITIONS[mode, "aging" if age_s > limits.hold_s else "fresh"]
 
     def _blind(self, now: Time) -> bool:
         """Whether it would have to drive by ranges that it does not have."""
@@ -283,7 +299,7 @@ class RobotAgent:
             reason=self._reason(age_s, now),
             counters={**self._host_counters, **self._counted},
             compensation=self._pipeline.compensation,
-            localised=self._localised,
+            localised=self._frame.known,
         )
         self._oldest_s = -1.0
         return Outgoing(self._status, status)
@@ -292,6 +308,8 @@ class RobotAgent:
         """Why the robot is not tracking, for people."""
         if self._mode in ("tracking", "stopped"):
             return "" if self._mode == "tracking" else "told to stop"
+        if self._mode == "emergency":
+            return self._emergency.reason
         if self._pipeline.fault:
             return self._pipeline.fault
         event, motion = self._driver_event(now), self._motion
@@ -305,11 +323,11 @@ class RobotAgent:
             return motion.reason or f"the drive is {state}"
         if event == "driver_ready":
             return "the drive is not active yet"
-        if not self._localised:
+        if not self._frame.known:
             return "restarted, and has not heard where its odometry frame lies"
         if self._orders.command is None:
             return "no command yet"
-        if age_s < self._limits.stop_s and self._blind(now):
+        if age_s < self._limits_now().stop_s and self._blind(now):
             return self._sensing.silence(now)
         return f"the command is {age_s:.1f} s old"
 

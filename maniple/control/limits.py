@@ -95,6 +95,14 @@ def limits_of(scenario: Scenario, robot: Robot) -> Limits:
     )
 
 
+def aged(limits: Limits, stop_s: float) -> Limits:
+    """`limits` with a robot that stands at the age `stop_s` of its commands (0: as it is) and slows down from
+    as much earlier in proportion, where that is less than its own."""
+    if not 0.0 < stop_s < limits.stop_s:
+        return limits
+    return limits._replace(hold_s=limits.hold_s * stop_s / limits.stop_s, stop_s=stop_s)
+
+
 def curvature_max(model: RobotModel) -> float:
     """The most a robot turns per metre it drives (1/m): tan(steer_max) / wheelbase of a car, or infinite."""
     if model.drive != "car":

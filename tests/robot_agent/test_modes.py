@@ -10,16 +10,18 @@ MODES = get_args(Mode)
 EVENTS = get_args(Event)
 
 EXPECTED = {
-    # event:          waiting    tracking    holding    stopped    fault
-    "layer_failed": ("fault", "fault", "fault", "stopped", "fault"),
-    "driver_lost": ("waiting", "fault", "fault", "stopped", "fault"),
-    "driver_ready": ("waiting", "waiting", "waiting", "stopped", "waiting"),
-    "driver_active": ("waiting", "tracking", "holding", "stopped", "waiting"),
-    "blind": ("waiting", "holding", "holding", "stopped", "fault"),
-    "fresh": ("tracking", "tracking", "tracking", "stopped", "fault"),
-    "aging": ("holding", "holding", "holding", "stopped", "fault"),
-    "old": ("waiting", "holding", "holding", "stopped", "fault"),
-    "stop": ("stopped", "stopped", "stopped", "stopped", "stopped"),
+    # event:          waiting    tracking    holding    emergency    stopped    fault
+    "layer_failed": ("fault", "fault", "fault", "emergency", "stopped", "fault"),
+    "driver_lost": ("waiting", "fault", "fault", "emergency", "stopped", "fault"),
+    "driver_ready": ("waiting", "waiting", "waiting", "emergency", "stopped", "waiting"),
+    "driver_active": ("waiting", "tracking", "holding", "emergency", "stopped", "waiting"),
+    "blind": ("waiting", "holding", "holding", "emergency", "stopped", "fault"),
+    "fresh": ("tracking", "tracking", "tracking", "emergency", "stopped", "fault"),
+    "aging": ("holding", "holding", "holding", "emergency", "stopped", "fault"),
+    "old": ("waiting", "holding", "holding", "emergency", "stopped", "fault"),
+    "emergency": ("emergency", "emergency", "emergency", "emergency", "stopped", "emergency"),
+    "armed": ("waiting", "tracking", "holding", "waiting", "stopped", "fault"),
+    "stop": ("stopped", "stopped", "stopped", "stopped", "stopped", "stopped"),
 }
 
 
@@ -39,6 +41,14 @@ def test_a_lost_driver_or_a_stop_never_leaves_a_robot_moving() -> None:
         assert not MOVES[TRANSITIONS[mode, "driver_lost"]]
         assert not MOVES[TRANSITIONS[mode, "driver_ready"]]
         assert not MOVES[TRANSITIONS[mode, "stop"]]
+        assert not MOVES[TRANSITIONS[mode, "emergency"]]
+
+
+def test_only_an_operator_or_the_end_ends_an_emergency() -> None:
+    for event in EVENTS:
+        after = TRANSITIONS["emergency", event]
+        assert (after == "emergency") == (event not in ("armed", "stop"))
+        assert not MOVES[after]
 
 
 def test_only_a_command_that_is_not_old_sets_a_robot_moving() -> None:

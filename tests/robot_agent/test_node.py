@@ -119,6 +119,7 @@ def test_what_it_listens_to_and_when_it_acts(make_scenario: Make) -> None:
         "hw/r1/scan",
         "robot/r1/command",
         "robot/r1/odometry",
+        "platoon/stop",
         "host/refused",
         "host/counters",
     }
@@ -216,7 +217,7 @@ def test_refuses_commands_for_others_and_counts_what_the_host_refused(
     agent.on_message(motion(T0, (1, 2, 3)), T0)  # type: ignore[arg-type]
     agent.on_message(command_from(T0, (0.1, 0.0), layer="drive"), T0)
     agent.on_message(command_from(T0, (0.1, 0.0), incarnation=2), T0)
-    refused = Refused(topic="robot/r1/command", sender="x", reason="sender")
+    refused = Refused(topic="robot/r1/command", sender="x", reason="sender", count=3)
     agent.on_message(Received(topics.HOST_REFUSED, refused), T0)
     agent.on_message(Received(topics.HOST_COUNTERS, Counters(counters={"received": 12})), T0)
     drive_of(agent, T0)
@@ -227,7 +228,7 @@ def test_refuses_commands_for_others_and_counts_what_the_host_refused(
         "refused_layer": 1,
         "refused_ticks": 1,
         "refused_incarnation": 1,
-        "refused_sender": 1,
+        "refused_sender": 3,
     }
 
 
@@ -318,7 +319,8 @@ def test_it_resumes_no_frame_that_was_lost_and_takes_no_command_until_it_knows(
     agent.on_message(last_word(), T0 + 2)
     agent.on_message(command_from(T0 + 1, (0.1, 0.0), incarnation=2), T0 + 2)  # computed in another frame
     agent.on_message(command_from(T0 + 2, (0.1, 0.0), incarnation=2, seq=1), T0 + 2)
-    assert status_of(agent, T0 + 2).counters["refused_unlocalised"] == 2
+    counters = status_of(agent, T0 + 2).counters
+    assert (counters["refused_unlocalised"], counters["refused_earlier"]) == (1, 1)
     assert status_of(agent, T0 + 2).command_age_s == 0.0
 
 
