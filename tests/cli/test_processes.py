@@ -176,3 +176,36 @@ def test_finishing_the_dead_is_fine() -> None:
 def test_no_program_to_start() -> None:
     with pytest.raises(RunError, match="x could not be started: No such file"):
         Child(Process("x", ()), SCENARIO, program=("/nowhere/python",))
+
+
+def test_another_value_of_an_option() -> None:
+    process = Process("r1", ("agent", "r1", "--incarnation", "1", "--log", "a"))
+    assert process.having("--incarnation", "2").arguments == (
+        "agent",
+        "r1",
+        "--incarnation",
+        "2",
+        "--log",
+        "a",
+    )
+    assert process.having("--log", "b").arguments[-1] == "b"
+    assert Process("router", ("router",)).having("--incarnation", "2") == Process("router", ("router",))
+
+
+def test_one_that_is_frozen_is_told_from_one_that_runs_or_is_dead() -> None:
+    with child("import sys; sys.stdin.read()") as made:
+        assert not made.frozen
+        os.kill(made.pid, signal.SIGSTOP)
+        eventually(lambda: made.frozen)
+        assert made.alive
+        os.kill(made.pid, signal.SIGCONT)
+        eventually(lambda: not made.frozen)
+        os.kill(made.pid, signal.SIGKILL)
+        eventually(lambda: not made.alive)
+        assert not made.frozen
+
+
+def test_what_comes_of_an_end_is_told_before_the_last_words() -> None:
+    with child("import sys; sys.exit('alas')") as made:
+        eventually(lambda: not made.alive)
+        assert made.epitaph("; so be it").endswith("ended with status 1; so be it; its last words:\n  alas")

@@ -171,3 +171,18 @@ def test_the_terminal_is_given_back_after_an_error() -> None:
     except ValueError:
         pass
     assert "\x1b[?25h" in file.getvalue()
+
+
+def test_why_the_platoon_waits_is_in_the_controllers_words() -> None:
+    waiting = progress_of(waits_for=("r2",), reason="waits for r2: the command is 4.1 s old; limit 0.49 s")
+    assert line(waiting).startswith("waits for r2: the command is 4.1 s old; limit 0.49 s 12.3/60.0 s")
+    assert line(progress_of(waits_for=("r2",))).startswith("waits for r2 12.3")
+    assert line(progress_of(phase="holding", reason="too few robots")).startswith("holding (too few robots)")
+
+
+def test_what_is_dead_or_frozen_is_told() -> None:
+    progress = progress_of(processes={"controller": "dead", "r2": "frozen"})
+    assert "r2:waiting, controller is dead, r2 is frozen, router at" in line(progress)
+    file = StringIO()
+    Console(file=file, width=160).print(picture("scene", progress))
+    assert "controller is dead" in file.getvalue()

@@ -57,6 +57,8 @@ FIELDS = [
     "lost_robots",
     "odometry_drift_m",
     "unrecorded",
+    "logs",
+    "restarts",
     "interrupted",
 ]
 
@@ -130,6 +132,7 @@ def test_the_command_prints_one_object_with_every_field(small: Path, tmp_path: P
     assert found["real_time_factor"] == pytest.approx(found["duration_s"] / found["wall_s"], rel=0.01)
     assert found["duration_s"] == pytest.approx(20.0, abs=1.0)
     assert found["log"] == str(log)
+    assert found["logs"] == [str(log)]
     recording = read(log)
     assert recording.complete
     assert recording.scenario.seed == 7
@@ -141,7 +144,7 @@ def test_python_and_the_command_do_the_same(small: Path, tmp_path: Path, command
     outcome = command("run", small, "--virtual", "--json", "--log", log, "--set", "controller.kappa=0.3")
     assert outcome.status == 0
     result = run_virtual(small, tmp_path, overrides=["controller.kappa=0.3"])
-    timing = {"wall_s": 0.0, "real_time_factor": 0.0, "log": ""}
+    timing = {"wall_s": 0.0, "real_time_factor": 0.0, "log": "", "logs": []}
     assert json.loads(outcome.out) | timing == msgspec.to_builtins(result) | timing
     assert log.read_bytes() == Path(result.log).read_bytes()
 

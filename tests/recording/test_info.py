@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from maniple.recording.info import Gap, Info, describe
+from maniple.recording.info import Gap, Info, describe, missing
 from maniple.recording.reader import read
 from tests.recording.traffic import Sent, drive, record, traffic
 
@@ -93,3 +93,12 @@ def test_messages_without_a_header(tmp_path: Path) -> None:
     unknown, known = info_of(tmp_path, sent).channels
     assert (known.messages, known.headless, known.missing) == (3, 2, 0)
     assert (unknown.topic, unknown.type, unknown.headless) == ("else/where", "", 1)
+
+
+def test_what_is_missing_in_the_parts_of_a_recording_together(tmp_path: Path) -> None:
+    """Also between them; what both hold is not counted twice."""
+    parts = [drives([0, 1, 3]), drives([2, 3, 7]), drives([0, 2], incarnation=2)]
+    logs = [record(tmp_path / f"{number}.mcap", sent) for number, sent in enumerate(parts)]
+    assert [missing([read(log)]) for log in logs] == [1, 5, 1]
+    assert missing(map(read, logs)) == 4
+    assert missing([]) == 0
