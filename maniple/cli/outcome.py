@@ -8,6 +8,7 @@ from maniple.core.errors import RecordingError
 from maniple.core.scenario.types import Scenario
 from maniple.recording.reader import Recording, read
 from maniple.report.summary import RunFigures, Summary
+from maniple.report.true_time import epoch_of
 
 
 class Outcome(NamedTuple):
@@ -27,8 +28,9 @@ def figures_of(logs: Sequence[Path], scenario: Scenario) -> RunFigures:
     Raises:
         RecordingError: they can't be read.
     """
-    summary = Summary(scenario)
-    for recording in recordings_of(logs):
+    recordings = recordings_of(logs)
+    summary = Summary(scenario, *map(epoch_of, recordings[:1]))
+    for recording in recordings:
         for entry in recording.messages(summary.wants):
             if entry.message is not None:
                 summary.add(entry.message)

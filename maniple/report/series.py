@@ -37,6 +37,7 @@ from maniple.report.links import LinkTotals
 from maniple.report.samples import Samples, Track, seconds, with_gaps
 from maniple.report.summary import RunFigures, Summary, under_way
 from maniple.report.timeline import Event, Span, events_of, spans_of
+from maniple.report.true_time import TrueTime, epoch_of
 from maniple.report.truth import (
     Ground,
     Stretch,
@@ -145,7 +146,7 @@ def series_of(recording: Recording) -> Series:
     Raises:
         RecordingError: it is damaged, or its scenario can't be read.
     """
-    reader = _Reader(recording.scenario)
+    reader = _Reader(recording.scenario, epoch_of(recording))
     for record in recording.messages():
         reader.add(record)
     return reader.series()
@@ -154,10 +155,11 @@ def series_of(recording: Recording) -> Series:
 class _Reader:
     """Gathers messages, then makes arrays of them."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, epoch: Time) -> None:
         self._scenario = scenario
         self._ids = tuple(robot.id for robot in scenario.robots)
-        self._summary = Summary(scenario)
+        self._summary = Summary(scenario, epoch)
+        self._true_time = TrueTime(scenario, epoch)
         self._delivery = Delivery()
         self._truth: list[Truth] = []
         self._states: list[FormationState] = []
@@ -190,6 +192,7 @@ class _Reader:
             self._unreadable[record.topic] += 1
             return
         self._summary.add(message)
+        message = self._true_time.of(message)
         if handler := self._handlers.get(type(message)):
             handler(message)
 

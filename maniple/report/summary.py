@@ -24,9 +24,10 @@ from maniple.core.messages import (
     unpack_floats,
 )
 from maniple.core.scenario.types import Scenario
-from maniple.core.time import SECOND, Time, to_seconds
+from maniple.core.time import SECOND, VIRTUAL_EPOCH, Time, to_seconds
 from maniple.report.links import LinkCounts
 from maniple.report.samples import Samples, Stamps
+from maniple.report.true_time import TrueTime
 from maniple.report.truth import Ground, drift, ground_of, stretches
 
 LAST: int = SECOND
@@ -103,10 +104,11 @@ class RunFigures(msgspec.Struct, frozen=True):
 
 
 class Summary:
-    """Takes messages in any order, gives the figures at the end."""
+    """Takes messages in any order, gives the figures at the end; `epoch` is the start of the run."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, epoch: Time = VIRTUAL_EPOCH) -> None:
         self._scenario = scenario
+        self._true_time = TrueTime(scenario, epoch)
         self._truth: list[Truth] = []
         self._states: list[FormationState] = []
         self._odometry: defaultdict[str, Samples] = defaultdict(lambda: Samples(3))
@@ -123,6 +125,7 @@ class Summary:
 
     def add(self, message: Message) -> None:
         """Take a message into account."""
+        message = self._true_time.of(message)
         match message:
             case Truth():
                 self._truth.append(message)

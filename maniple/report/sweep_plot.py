@@ -1,0 +1,149 @@
+"""Pictures of a sweep: a figure of the runs against a field of the scenario."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from maniple.core.geometry import Floats
+from maniple.report import style
+from maniple.report.sweep_types import Plot
+
+Table: TypeAlias = Mapping[str, Sequence[Any]]
+"""Values of each run, by column."""
+
+MARKERS = "osD^vP"
+
+
+class Curve(NamedTuple):
+    """The runs of one line, by their x."""
+
+    x: Floats
+    """Rising, shape (k,)."""
+    low: Floats
+    """Least value over the runs at each x; nan where none has one."""
+    middle: Floats
+    """The median, or the share of the runs that is true."""
+    high: Floats
+
+
+def write(plot: Plot, table: Table, path: Path) -> None:
+    """Draw a picture of the results of a sweep and save it; the suffix chooses PNG or SVG."""
+    with rc_context(style.LOOK):
+        figure = draw(plot, table)
+    style.save(figure, path)
+
+
+def draw(plot: Plot, table: Table) -> Figure:
+    """A panel for each value of `plot.facets`, a line for each value of `plot.series`."""
+    panels, lines = levels(table, plot.facets), levels(table, plot.series)
+    columns = 1 if len(panels) == 1 else 2
+    rows = -(-len(panels) // columns)
+    figure = style.sheet(0.75 + 1.35 * rows)
+    if plot.title:
+        figure.suptitle(plot.title, fontsize=style.LOOK["axes.titlesize"])
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    edges = False
+    for panel, axes in zip(panels, grid.flat, strict=False):
+        chosen = where(table, {plot.facets: panel})
+        for index, line in enumerate(lines):
+            runs = chosen & where(table, {plot.series: line})
+            _draw_curve(axes, plot, curve(table, plot.x, plot.y, runs, plot.y_max), index, len(lines))
+        edges |= _draw_edge(axes, plot, table, chosen)
+        if plot.facets:
+            axes.set_title(shown(panel))
+    for axes in grid.flat[len(panels) :]:
+        axes.remove()
+    _finish(plot, figure, grid, table)
+    style.legend(figure, list(_rows(plot, lines, edges)), len(lines) + 2)
+    return figure
+
+
+def levels(table: Table, name: str) -> list[Any]:
+    """The values of a column, each once, in the order of the runs; [None] without a name."""
+    return list(dict.fromkeys(table[name])) if name else [None]
+
+
+def where(table: Table, values: Mapping[str, Any]) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Which runs have these values; a column without a name says nothing."""
+    count = len(next(iter(table.values())))
+    chosen = np.ones(count, dtype=np.bool_)
+    for name, value in values.items():
+        if name:
+            chosen &= np.array([cell == value for cell in table[name]], dtype=np.bool_)
+    return chosen
+
+
+def curve(
+    table: Table, x: str, y: str, runs: np.ndarray[Any, np.dtype[np.bool_]], y_max: float | None = None
+) -> Curve:
+    """What some runs have for `y`, by their `x`: least, median and largest, or the share that is true.
+
+    Runs without a value (None) are left out; `y_max` caps the values.
+    """
+    xs = np.array(table[x], dtype=np.float64)[runs]
+    cells = [table[y][index] for index in np.flatnonzero(runs).tolist()]
+    values = np.array([np.nan if cell is None else float(cell) for cell in cells])
+    if y_max is not None:
+        values = np.minimum(values, y_max)
+    share = any(isinstance(cell, bool) for cell in cells)
+    places = np.unique(xs)
+    found = np.full((3, len(places)), np.nan)
+    for index, place in enumerate(places):
+        here = values[(xs == place) & ~np.isnan(values)]
+        if here.size:
+            middle = here.mean() if share else np.median(here)
+            found[:, index] = (middle, middle, middle) if share else (here.min(), middle, here.max())
+    return Curve(places, *found)
+
+
+def edge_of(table: Table, plot: Plot, runs: np.ndarray[Any, np.dtype[np.bool_]]) -> list[float]:
+    """Where on the x axis the loop of these runs is predicted to lose its stability, each place once."""
+    if plot.edge is None:
+        return []
+    delays = {table["tolerated_delay_s"][index] for index in np.flatnonzero(runs).tolist()}
+    return sorted({round(delay / plot.edge, 9) for delay in delays})
+
+
+def shown(value: Any) -> str:
+    """A value of an axis in a title or a legend."""
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _draw_curve(axes: Axes, plot: Plot, found: Curve, index: int, of: int) -> None:
+    look = style.look(index)
+    axes.fill_between(
+        found.x, found.low, found.high, color=look["color"], alpha=0.18 if of > 2 else 0.3, lw=0
+    )
+    axes.plot(found.x, found.middle, marker=MARKERS[index % len(MARKERS)], ms=2.4, **look)
+    if plot.log:
+        axes.set_yscale("log")
+
+
+def _draw_edge(axes: Axes, plot: Plot, table: Table, runs: np.ndarray[Any, np.dtype[np.bool_]]) -> bool:
+    largest = max(table[plot.x])
+    places = [place for place in edge_of(table, plot, runs) if 0.0 <= place <= 1.02 * largest]
+    for place in places:
+        axes.axvline(place, color=style.INK, ls=(0, (4, 2)), lw=0.8)
+    return bool(places)
+
+
+def _finish(plot: Plot, figure: Figure, grid: Any, table: Table) -> None:
+    figure.supxlabel(plot.x_label or plot.x, fontsize=style.LOOK["axes.labelsize"])
+    figure.supylabel(plot.y_label or plot.y, fontsize=style.LOOK["axes.labelsize"])
+    if any(isinstance(cell, bool) for cell in table[plot.y]):
+        grid[0][0].set_ylim(-0.05, 1.05)
+
+
+def _rows(plot: Plot, lines: Sequence[Any], edges: bool) -> Iterator[Artist]:
+    for index, line in enumerate(lines):
+        if plot.series:
+            label = f"{plot.series_label or plot.series} {shown(line)}"
+            yield style.row(label, marker=MARKERS[index % len(MARKERS)], ms=2.4, **style.look(index))
+    if edges:
+        yield style.row("predicted edge", color=style.INK, ls=(0, (4, 2)), lw=0.8)
