@@ -3,6 +3,7 @@
 import typer
 
 from maniple.cli import (
+    fault_command,
     goal_command,
     layer_commands,
     log_commands,
@@ -11,6 +12,7 @@ from maniple.cli import (
     report_command,
     run_command,
     scenario_commands,
+    sweep_command,
 )
 from maniple.core.version import __version__
 
@@ -30,6 +32,7 @@ def _pass_on(context: typer.Context) -> None:
 app.command("run")(run_command.run)
 app.command("plan")(plan_command.show)
 app.command("report")(report_command.report)
+app.command("sweep")(sweep_command.sweep)
 for _name, _about in node_commands.COMMANDS.items():
     app.command(
         _name,
@@ -37,6 +40,7 @@ for _name, _about in node_commands.COMMANDS.items():
         add_help_option=False,
         context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
     )(_pass_on)
+app.add_typer(fault_command.app, name="fault")
 app.add_typer(goal_command.app, name="goal")
 app.add_typer(layer_commands.app, name="layer")
 app.add_typer(log_commands.app, name="log")

@@ -9,6 +9,7 @@ from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from maniple.core.geometry import Floats
 from maniple.report import style
@@ -17,7 +18,13 @@ from maniple.report.sweep_types import Plot
 Table: TypeAlias = Mapping[str, Sequence[Any]]
 """Values of each run, by column."""
 
+Runs: TypeAlias = np.ndarray[tuple[int], np.dtype[np.bool_]]
+"""Which runs, shape (k,)."""
+
 MARKERS = "osD^vP"
+
+EDGE: dict[str, Any] = {"color": style.INK, "ls": (0, (4, 2)), "lw": 0.8}
+"""How the predicted edge looks."""
 
 
 class Curve(NamedTuple):
@@ -44,7 +51,7 @@ def draw(plot: Plot, table: Table) -> Figure:
     panels, lines = levels(table, plot.facets), levels(table, plot.series)
     columns = 1 if len(panels) == 1 else 2
     rows = -(-len(panels) // columns)
-    figure = style.sheet(0.75 + 1.35 * rows)
+    figure = style.sheet(0.6 + 1.4 * rows)
     if plot.title:
         figure.suptitle(plot.title, fontsize=style.LOOK["axes.titlesize"])
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
@@ -53,14 +60,13 @@ def draw(plot: Plot, table: Table) -> Figure:
         chosen = where(table, {plot.facets: panel})
         for index, line in enumerate(lines):
             runs = chosen & where(table, {plot.series: line})
-            _draw_curve(axes, plot, curve(table, plot.x, plot.y, runs, plot.y_max), index, len(lines))
+            _draw_curve(axes, curve(table, plot, runs), index)
         edges |= _draw_edge(axes, plot, table, chosen)
         if plot.facets:
             axes.set_title(shown(panel))
-    for axes in grid.flat[len(panels) :]:
-        axes.remove()
-    _finish(plot, figure, grid, table)
-    style.legend(figure, list(_rows(plot, lines, edges)), len(lines) + 2)
+    _label(plot, grid, len(panels))
+    _scale(plot, grid[0][0], table)
+    style.legend(figure, list(_rows(plot, lines, edges)), len(lines) + 1)
     return figure
 
 
@@ -69,7 +75,7 @@ def levels(table: Table, name: str) -> list[Any]:
     return list(dict.fromkeys(table[name])) if name else [None]
 
 
-def where(table: Table, values: Mapping[str, Any]) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def where(table: Table, values: Mapping[str, Any]) -> Runs:
     """Which runs have these values; a column without a name says nothing."""
     count = len(next(iter(table.values())))
     chosen = np.ones(count, dtype=np.bool_)
@@ -79,18 +85,13 @@ def where(table: Table, values: Mapping[str, Any]) -> np.ndarray[Any, np.dtype[n
     return chosen
 
 
-def curve(
-    table: Table, x: str, y: str, runs: np.ndarray[Any, np.dtype[np.bool_]], y_max: float | None = None
-) -> Curve:
-    """What some runs have for `y`, by their `x`: least, median and largest, or the share that is true.
-
-    Runs without a value (None) are left out; `y_max` caps the values.
-    """
-    xs = np.array(table[x], dtype=np.float64)[runs]
-    cells = [table[y][index] for index in np.flatnonzero(runs).tolist()]
+def curve(table: Table, plot: Plot, runs: Runs) -> Curve:
+    """What some runs have for `plot.y`, by their `plot.x`: least, median and largest, or the share that is
+    true. Runs without a value (None) are left out."""
+    xs = np.array(table[plot.x], dtype=np.float64)[runs]
+    cells = [table[plot.y][index] for index in np.flatnonzero(runs).tolist()]
     values = np.array([np.nan if cell is None else float(cell) for cell in cells])
-    if y_max is not None:
-        values = np.minimum(values, y_max)
+    values = np.clip(values, plot.y_min, plot.y_max) if plot.y_min or plot.y_max else values
     share = any(isinstance(cell, bool) for cell in cells)
     places = np.unique(xs)
     found = np.full((3, len(places)), np.nan)
@@ -102,7 +103,7 @@ def curve(
     return Curve(places, *found)
 
 
-def edge_of(table: Table, plot: Plot, runs: np.ndarray[Any, np.dtype[np.bool_]]) -> list[float]:
+def edge_of(table: Table, plot: Plot, runs: Runs) -> list[float]:
     """Where on the x axis the loop of these runs is predicted to lose its stability, each place once."""
     if plot.edge is None:
         return []
@@ -115,35 +116,48 @@ def shown(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _draw_curve(axes: Axes, plot: Plot, found: Curve, index: int, of: int) -> None:
+def _draw_curve(axes: Axes, found: Curve, index: int) -> None:
     look = style.look(index)
-    axes.fill_between(
-        found.x, found.low, found.high, color=look["color"], alpha=0.18 if of > 2 else 0.3, lw=0
-    )
-    axes.plot(found.x, found.middle, marker=MARKERS[index % len(MARKERS)], ms=2.4, **look)
-    if plot.log:
-        axes.set_yscale("log")
+    axes.fill_between(found.x, found.low, found.high, color=look["color"], alpha=0.18, lw=0)
+    axes.plot(found.x, found.middle, marker=MARKERS[index % len(MARKERS)], ms=2.2, **look)
 
 
-def _draw_edge(axes: Axes, plot: Plot, table: Table, runs: np.ndarray[Any, np.dtype[np.bool_]]) -> bool:
+def _draw_edge(axes: Axes, plot: Plot, table: Table, runs: Runs) -> bool:
     largest = max(table[plot.x])
     places = [place for place in edge_of(table, plot, runs) if 0.0 <= place <= 1.02 * largest]
     for place in places:
-        axes.axvline(place, color=style.INK, ls=(0, (4, 2)), lw=0.8)
+        axes.axvline(place, **EDGE)
     return bool(places)
 
 
-def _finish(plot: Plot, figure: Figure, grid: Any, table: Table) -> None:
-    figure.supxlabel(plot.x_label or plot.x, fontsize=style.LOOK["axes.labelsize"])
-    figure.supylabel(plot.y_label or plot.y, fontsize=style.LOOK["axes.labelsize"])
-    if any(isinstance(cell, bool) for cell in table[plot.y]):
-        grid[0][0].set_ylim(-0.05, 1.05)
+def _label(plot: Plot, grid: Any, panels: int) -> None:
+    columns = grid.shape[1]
+    for index, axes in enumerate(grid.flat):
+        if index >= panels:
+            axes.remove()
+            continue
+        if index % columns == 0:
+            axes.set_ylabel(plot.y_label or plot.y)
+        if index + columns >= panels:
+            axes.set_xlabel(plot.x_label or plot.x)
+            axes.tick_params(labelbottom=True)
+
+
+def _scale(plot: Plot, axes: Axes, table: Table) -> None:
+    """The axes that all panels share."""
+    if plot.log and any(cell is not None and cell > 0 for cell in table[plot.y]):
+        axes.set_yscale("log")
+    elif any(isinstance(cell, bool) for cell in table[plot.y]):
+        axes.set_ylim(-0.05, 1.05)
+    if plot.log_x and max(table[plot.x]) > 0:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def _rows(plot: Plot, lines: Sequence[Any], edges: bool) -> Iterator[Artist]:
     for index, line in enumerate(lines):
         if plot.series:
             label = f"{plot.series_label or plot.series} {shown(line)}"
-            yield style.row(label, marker=MARKERS[index % len(MARKERS)], ms=2.4, **style.look(index))
+            yield style.row(label, marker=MARKERS[index % len(MARKERS)], ms=2.2, **style.look(index))
     if edges:
-        yield style.row("predicted edge", color=style.INK, ls=(0, (4, 2)), lw=0.8)
+        yield style.row("predicted edge", **EDGE)

@@ -26,6 +26,10 @@ class Plot(Parameters, frozen=True, kw_only=True):
     """In front of its values in the legend; by default `series`."""
     log: bool = False
     """Whether y is drawn on a logarithmic scale."""
+    log_x: bool = False
+    """Whether x is."""
+    y_min: Positive | None = None
+    """What is smaller is drawn at this."""
     y_max: Positive | None = None
     """What is larger is drawn at this."""
     edge: Positive | None = None
