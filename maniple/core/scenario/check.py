@@ -2,17 +2,15 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from fnmatch import fnmatchcase
 from itertools import combinations
 
 from maniple.core.errors import ScenarioError
-from maniple.core.faults import dies_with
 from maniple.core.scenario import outline
+from maniple.core.scenario.check_faults import fault_problems, some
 from maniple.core.scenario.check_task import FARTHEST_M, TOLERANCE_M, speed_limit, task_problems
 from maniple.core.scenario.parse import type_problems
 from maniple.core.scenario.places import Shape, desired_shapes
 from maniple.core.scenario.types import Obstacle, Polygon, PoseXY, RangeFinder, RobotModel, Scenario, Wall
-from maniple.core.topics import TOPICS
 
 RESERVED = ("controller", "simulator", "recorder", "router")
 """Names of nodes that no robot may have."""
@@ -54,7 +52,7 @@ def problems(scenario: Scenario) -> list[str]:
         _controller,
         _limits,
         _rates,
-        _faults,
+        fault_problems,
         _distances,
     )
     return [text for part in parts for text in part(scenario)]
@@ -151,11 +149,11 @@ def _places(scenario: Scenario) -> Iterator[str]:
 
 
 def _phases(scenario: Scenario) -> Iterator[str]:
-    """Who guides, when it waits, and who dies."""
+    """Who guides, and when it waits."""
     ids = [robot.id for robot in scenario.robots]
     host, wait, planning = scenario.controller.host, scenario.waiting, scenario.planning
     if host is not None and host not in ids:
-        yield f"controller.host = {host!r}: is not a robot; must be one of {_some(ids)}"
+        yield f"controller.host = {host!r}: is not a robot; must be one of {some(ids)}"
     if wait.free_m >= wait.stop_m:
         yield f"waiting.free_m = {wait.free_m}: must be < stop_m = {wait.stop_m}"
     for index, robot in enumerate(scenario.robots):
@@ -166,22 +164,6 @@ def _phases(scenario: Scenario) -> Iterator[str]:
                 f"must be < {limit}, the {where}"
             )
             break
-    yield from _crashes(scenario)
-
-
-def _crashes(scenario: Scenario) -> Iterator[str]:
-    nodes = ["controller", *(robot.id for robot in scenario.robots)]
-    gone: dict[str, float] = {}
-    for index, crash in sorted(enumerate(scenario.crashes), key=lambda entry: entry[1].at_s):
-        path = f"crashes[{index}]"
-        if crash.node not in nodes:
-            yield f"{path}.node = {crash.node!r}: must be one of {_some(nodes)}"
-            continue
-        for name in dies_with(crash.node, scenario):
-            if crash.at_s <= (until := gone.get(name, -1.0)):
-                back = "for good" if until == math.inf else f"until {until:g} s"
-                yield f"{path}.at_s = {crash.at_s}: {name} is dead already then, {back}"
-            gone[name] = crash.at_s + (crash.restart_after_s or math.inf)
 
 
 def _obstacles(scenario: Scenario) -> Iterator[str]:
@@ -338,19 +320,6 @@ def _rates(scenario: Scenario) -> Iterator[str]:
             yield f"rates.{name} = {value}: must be <= physics_hz = {rates.physics_hz}"
 
 
-def _faults(scenario: Scenario) -> Iterator[str]:
-    """Rules that match nothing: most likely a slip of the pen."""
-    ids = [robot.id for robot in scenario.robots]
-    nodes = ["controller", *ids]
-    patterns = [row.pattern for row in TOPICS if row.faults]
-    topics = list(dict.fromkeys(pattern.replace("{id}", name) for name in ids for pattern in patterns))
-    for index, rule in enumerate(scenario.faults):
-        for field, names in (("source", nodes), ("destination", nodes), ("topic", topics)):
-            pattern = getattr(rule, field)
-            if not any(fnmatchcase(name, pattern) for name in names):
-                yield f"faults[{index}].{field} = {pattern!r}: matches nothing; valid: {_some(names)}"
-
-
 def _distances(scenario: Scenario) -> Iterator[str]:
     places = [(f"formation.points[{i}]", point) for i, point in enumerate(scenario.formation.points)]
     places += [(f"robots[{i}].pose", robot.pose[:2]) for i, robot in enumerate(scenario.robots) if robot.pose]
@@ -366,10 +335,6 @@ def _distances(scenario: Scenario) -> Iterator[str]:
 
 def _names(entries: Mapping[str, object]) -> str:
     return ", ".join(sorted(entries)) or "(none are defined)"
-
-
-def _some(names: Sequence[str], most: int = 8) -> str:
-    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
 
 
 def _kind(obstacle: Obstacle) -> str:

@@ -1,7 +1,7 @@
 """A scenario with everything filled in that it leaves to catalogues, defaults and chance."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TypeVar
 
 import msgspec
@@ -9,10 +9,12 @@ from msgspec.structs import replace
 
 from maniple.core.errors import ScenarioError
 from maniple.core.geometry import Pose, wrap
+from maniple.core.presets import with_preset
 from maniple.core.scenario.parse import type_problems
 from maniple.core.scenario.places import start_pose
 from maniple.core.scenario.shapes import pointed
 from maniple.core.scenario.types import (
+    Fault,
     Parameters,
     PoseXY,
     RangeFinder,
@@ -30,14 +32,15 @@ def resolve(
     scenario: Scenario, models: Mapping[str, RobotModel], sensors: Mapping[str, RangeFinder]
 ) -> Scenario:
     """The scenario with every referenced type of robot and range finder in it, a place and a pose for every
-    robot.
+    robot, and the numbers of every preset.
 
     Entries of the scenario win over those of the catalogues `models` and `sensors`. A scenario that is
     resolved already comes back unchanged.
 
     Raises:
         ScenarioError: wrong types or numbers that are not finite, a type that is in neither, a robot
-            with neither a pose nor a point of the formation, or a task whose file has not been loaded.
+            with neither a pose nor a point of the formation, a preset that there
+            is not, or a task whose file has not been loaded.
     """
     if found := type_problems(scenario):
         raise ScenarioError("\n".join(found))
@@ -54,7 +57,20 @@ def resolve(
         replace(robot, pose=initial_pose(scenario, index, frame))
         for index, robot in enumerate(scenario.robots)
     )
-    return replace(scenario, robots=robots, models=known_models, sensors=known_sensors)
+    return replace(
+        scenario, robots=robots, models=known_models, sensors=known_sensors, faults=_filled(scenario.faults)
+    )
+
+
+def _filled(faults: Sequence[Fault]) -> tuple[Fault, ...]:
+    """The rules with the numbers of their presets."""
+    rules = []
+    for index, rule in enumerate(faults):
+        try:
+            rules.append(with_preset(rule))
+        except ScenarioError as error:
+            raise ScenarioError(f"faults[{index}].{error}") from None
+    return tuple(rules)
 
 
 def require_points(scenario: Scenario) -> None:

@@ -88,16 +88,6 @@ def test_a_sound_scenario_has_no_problems(data: Data) -> None:
         (["rates.physics_hz=15"], "rates.motion_hz = 20.0: must be <= physics_hz = 15.0"),
         (["rates.scan_hz=101"], "rates.scan_hz = 101.0: must be <= physics_hz = 100.0"),
         (["rates.truth_hz=200"], "rates.truth_hz = 200.0: must be <= physics_hz = 100.0"),
-        (
-            ["faults=[{source='r9'}]"],
-            "faults[0].source = 'r9': matches nothing; valid: controller, r1, r2, r3",
-        ),
-        (["faults=[{destination='sim*'}]"], "faults[0].destination = 'sim*': matches nothing"),
-        (
-            ["faults=[{topic='robot/*/odo'}]"],
-            "faults[0].topic = 'robot/*/odo': matches nothing; valid: robot/r1/",
-        ),
-        (["faults=[{topic='hw/*'}]"], "faults[0].topic = 'hw/*': matches nothing"),
         (["task.end=[20000,0]"], "task.end: reaches to [20000.0, 0.0]; must be within 10000 m"),
         (
             ["world.obstacles=[{kind='circle', centre=[1e300,0], radius_m=1}]"],
@@ -239,7 +229,7 @@ def test_one_too_fast_turn_of_the_whole_formation(data: Data) -> None:
     )
 
 
-# -- who guides, waits and dies
+# -- who guides and waits
 
 
 @pytest.mark.parametrize(
@@ -253,18 +243,6 @@ def test_one_too_fast_turn_of_the_whole_formation(data: Data) -> None:
             "models.cart",
         ),
         (
-            "crashes=[{node='simulator', at_s=1}]",
-            "crashes[0].node = 'simulator': must be one of controller, r1, r2, r3",
-        ),
-        (
-            "crashes=[{node='r1', at_s=9}, {node='r1', at_s=1}]",
-            "crashes[0].at_s = 9.0: r1 is dead already then, for good",
-        ),
-        (
-            "crashes=[{node='r1', at_s=1, restart_after_s=5}, {node='r1', at_s=4}]",
-            "crashes[1].at_s = 4.0: r1 is dead already then, until 6 s",
-        ),
-        (
             "formation={points=[[0,0],[0,1],[0,-2]], shape={kind='vee', spacing_m=1}}",
             "formation: has points and a shape; must have one of them",
         ),
@@ -272,26 +250,6 @@ def test_one_too_fast_turn_of_the_whole_formation(data: Data) -> None:
 )
 def test_what_else_makes_no_sense(data: Data, override: str, message: str) -> None:
     assert checked(data, override) == [message]
-
-
-def test_nodes_may_die_more_than_once(data: Data) -> None:
-    twice = (
-        "crashes=[{node='r1', at_s=1, restart_after_s=5}, {node='controller', at_s=2}, {node='r1', at_s=7}]"
-    )
-    assert checked(data, twice, "controller.host=r2", "waiting.enabled=true") == []
-
-
-@pytest.mark.parametrize(
-    ("first", "then", "what"),
-    [
-        ("r1", "controller", "controller is dead already then, until 6 s"),
-        ("controller", "r1", "controller is dead already then, until 6 s"),
-    ],
-)
-def test_a_controller_on_a_robot_is_dead_while_that_is(data: Data, first: str, then: str, what: str) -> None:
-    crashes = f"crashes=[{{node='{first}', at_s=1, restart_after_s=5}}, {{node='{then}', at_s=4}}]"
-    assert checked(data, crashes) == []
-    assert checked(data, crashes, "controller.host=r1") == [f"crashes[1].at_s = 4.0: {what}"]
 
 
 def test_a_shape_is_resolved_first(data: Data) -> None:
