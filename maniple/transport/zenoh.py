@@ -1,12 +1,17 @@
 """Zenoh: bytes in, bytes out. The only file that imports zenoh.
 
-Callbacks run on threads of Zenoh's; they must only enqueue.
+Callbacks run on threads of Zenoh's; they must only enqueue. What is put carries the CRC-32 of its bytes as
+attachment, four bytes little-endian; what arrives with one that does not match is refused
+(docs/decisions/0009-integrity-and-latched-values.md).
 """
 
 import json
-from collections.abc import Callable, Mapping
+import re
+import time
+import zlib
+from collections.abc import Callable, Iterator, Mapping
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Literal, Self, TypeAlias
 
 import zenoh
 
@@ -16,6 +21,24 @@ from maniple.core.topics import topic as topic_row
 
 DEFAULT_PORT = 7447
 """Of the first router on a machine."""
+
+LEASE_S = 2.0
+"""A session that is silent for so long is over, unless said otherwise; wall time."""
+
+MAX_BYTES = 8 << 20
+"""No message is larger."""
+
+Unfit: TypeAlias = Literal["corrupted", "huge"]
+"""Why bytes that arrived are kept from everybody: not what was sent, or more than `MAX_BYTES`."""
+
+OnUnfit: TypeAlias = Callable[[str, Unfit], None]
+"""Told the topic name and why."""
+
+_TRY_S = 2.0
+"""How long one attempt to connect takes at most, so that a signal is heeded in between."""
+_CRC_BYTES = 4
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+_NUMBER = re.compile(r"[1-9][0-9]{0,17}")
 
 _PRIORITIES = {
     "commands": zenoh.Priority.INTERACTIVE_HIGH,
@@ -30,8 +53,9 @@ _COMMON: Mapping[str, Any] = {
     "scouting/multicast/enabled": False,
     # The implicit default sends 3 KB and more through /dev/shm: slower, larger, and it leaves files.
     "transport/shared_memory/enabled": False,
-    "transport/link/tx/lease": 2000,
     "transport/link/tx/keep_alive": 4,
+    # Who does not read holds nobody up for the default of 5 s: its session ends, and it connects anew.
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 200,
     "transport/unicast/open_timeout": 1000,
     "transport/unicast/accept_timeout": 1000,
 }
@@ -47,8 +71,9 @@ class ZenohSession:
         self._kept: list[Any] = []
 
     @classmethod
-    def client(cls, endpoint: str, prefix: str, timeout_s: float = 10.0) -> Self:
-        """Connect to a router, for example "tcp/127.0.0.1:7447".
+    def client(cls, endpoint: str, prefix: str, timeout_s: float = 10.0, lease_s: float = LEASE_S) -> Self:
+        """Connect to a router, for example "tcp/127.0.0.1:7447". Once connected, it connects again whenever
+        the router is back, for as long as it is open.
 
         Raises:
             TransportError: nothing answers there within the time.
@@ -56,19 +81,26 @@ class ZenohSession:
         options = {
             "mode": "client",
             "connect/endpoints": [endpoint],
-            "connect/timeout_ms": round(timeout_s * 1000),
+            "connect/timeout_ms": round(min(timeout_s, _TRY_S) * 1000),
             "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+            "transport/link/tx/lease": round(lease_s * 1000),
         }
-        return cls(_open(options, f"can't reach a router at {endpoint} within {timeout_s:g} s"), prefix)
+        failure = f"can't reach a router at {endpoint} within {timeout_s:g} s"
+        return cls(_open(options, failure, time.monotonic() + timeout_s), prefix)
 
     @classmethod
-    def router(cls, endpoint: str, prefix: str) -> Self:
+    def router(cls, endpoint: str, prefix: str, lease_s: float = LEASE_S) -> Self:
         """Be a router that listens, for example on "tcp/127.0.0.1:7447".
 
         Raises:
             TransportError: it can't listen there.
         """
-        options = {"mode": "router", "listen/endpoints": [endpoint], "listen/exit_on_failure": True}
+        options = {
+            "mode": "router",
+            "listen/endpoints": [endpoint],
+            "listen/exit_on_failure": True,
+            "transport/link/tx/lease": round(lease_s * 1000),
+        }
         return cls(
             _open(options, f"can't listen on {endpoint} (address in use, or not of this host)"), prefix
         )
@@ -85,18 +117,26 @@ class ZenohSession:
                 congestion_control=_CONGESTION[row.congestion],
                 reliability=_RELIABILITY[row.reliability],
             )
-        publisher.put(data)
+        publisher.put(data, attachment=crc_of(data))
 
     def put_raw(self, name: str, data: bytes, attachment: bytes | None = None) -> None:
-        """Send bytes on any name, known to the table or not."""
+        """Send bytes on any name, known to the table or not, with any attachment or none."""
         self._session.put(self._key(name), data, attachment=attachment)
 
-    def subscribe(self, expression: str, on_sample: Callable[[str, bytes], None]) -> None:
-        """Call `on_sample(topic, bytes)` for what arrives from others; `expression` may hold `*` and `**`."""
+    def subscribe(
+        self, expression: str, on_sample: Callable[[str, bytes], None], on_unfit: OnUnfit | None = None
+    ) -> None:
+        """Call `on_sample(topic, bytes)` for what arrives from others, and `on_unfit` for what is not fit to
+        be looked at; `expression` may hold `*` and `**`. Bytes without attachment are not checked."""
         skip = len(self._prefix) + 1
 
         def receive(sample: zenoh.Sample) -> None:
-            on_sample(str(sample.key_expr)[skip:], sample.payload.to_bytes())
+            name = str(sample.key_expr)[skip:]
+            data, unfit = _checked(sample)
+            if unfit is None:
+                on_sample(name, data)
+            elif on_unfit is not None:
+                on_unfit(name, unfit)
 
         self._kept.append(
             self._session.declare_subscriber(
@@ -111,7 +151,7 @@ class ZenohSession:
         def reply(query: zenoh.Query) -> None:
             with query:
                 for name, data in answer(str(query.key_expr)[skip:]).items():
-                    query.reply(self._key(name), data)
+                    query.reply(self._key(name), data, attachment=crc_of(data))
 
         self._kept.append(self._session.declare_queryable(self._key(expression), reply))
 
@@ -121,7 +161,9 @@ class ZenohSession:
         answers: dict[str, bytes] = {}
         for reply in self._session.get(self._key(name), timeout=timeout_s):
             if reply.ok is not None:
-                answers[str(reply.ok.key_expr)[skip:]] = reply.ok.payload.to_bytes()
+                data, unfit = _checked(reply.ok)
+                if unfit is None:
+                    answers[str(reply.ok.key_expr)[skip:]] = data
         return answers
 
     def settle(self) -> None:
@@ -134,30 +176,28 @@ class ZenohSession:
         self._kept.append(self._session.liveliness().declare_token(key))
 
     def lives(self, node: str, timeout_s: float = 2.0) -> tuple[int, ...]:
-        """The lives of a node that are there now."""
+        """The lives of a node that are there now; to be asked before `watch`."""
         return self._tokens(node, timeout_s).get(node, ())
 
     def everyone(self, timeout_s: float = 2.0) -> dict[str, tuple[int, ...]]:
-        """The lives that are there now, of every node."""
+        """The lives that are there now, of every node. To be asked before `watch`, which answers in part while
+        it learns."""
         return self._tokens("*", timeout_s)
 
     def _tokens(self, node: str, timeout_s: float) -> dict[str, tuple[int, ...]]:
         lives: dict[str, set[int]] = {}
         for reply in self._session.liveliness().get(self._key(f"alive/{node}/*"), timeout=timeout_s):
             if reply.ok is not None:
-                _, name, life = str(reply.ok.key_expr).rsplit("/", 2)
-                if life.isdecimal():
-                    lives.setdefault(name, set()).add(int(life))
+                for name, life in _life_of(str(reply.ok.key_expr)):
+                    lives.setdefault(name, set()).add(life)
         return {name: tuple(sorted(found)) for name, found in sorted(lives.items())}
 
     def watch(self, on_change: Callable[[str, int, bool], None]) -> None:
         """Call `on_change(node, incarnation, alive)` for every life there is, begins or ends."""
-        skip = len(self._prefix) + 1
 
         def change(sample: zenoh.Sample) -> None:
-            _, node, incarnation = str(sample.key_expr)[skip:].split("/")
-            if incarnation.isdecimal():
-                on_change(node, int(incarnation), sample.kind == zenoh.SampleKind.PUT)
+            for node, life in _life_of(str(sample.key_expr)):
+                on_change(node, life, sample.kind == zenoh.SampleKind.PUT)
 
         self._kept.append(
             self._session.liveliness().declare_subscriber(self._key("alive/*/*"), change, history=True)
@@ -181,15 +221,42 @@ class ZenohSession:
         return f"{self._prefix}/{name}"
 
 
-def _open(options: Mapping[str, Any], failure: str) -> zenoh.Session:
+def crc_of(data: bytes) -> bytes:
+    """The attachment of bytes: their CRC-32, little-endian."""
+    return zlib.crc32(data).to_bytes(_CRC_BYTES, "little")
+
+
+def _checked(sample: zenoh.Sample) -> tuple[bytes, Unfit | None]:
+    """The bytes of a sample, or why they are unfit. An attachment of another length is somebody else's."""
+    if len(sample.payload) > MAX_BYTES:
+        return b"", "huge"
+    data = sample.payload.to_bytes()
+    if sample.attachment is not None:
+        crc = sample.attachment.to_bytes()
+        if len(crc) == _CRC_BYTES and crc != crc_of(data):
+            return b"", "corrupted"
+    return data, None
+
+
+def _life_of(key: str) -> Iterator[tuple[str, int]]:
+    """The node and the incarnation of a liveliness token's key; nothing of one that somebody made up."""
+    _, node, life = key.rsplit("/", 2)
+    if _NAME.fullmatch(node) and _NUMBER.fullmatch(life):
+        yield node, int(life)
+
+
+def _open(options: Mapping[str, Any], failure: str, until: float = 0.0) -> zenoh.Session:
+    """Open a session; until a monotonic time, s, try again where that fails."""
     zenoh.init_log_from_env_or("off")
-    config = zenoh.Config()
-    for path, value in {**_COMMON, **options}.items():
+    while True:
+        config = zenoh.Config()
+        for path, value in {**_COMMON, **options}.items():
+            try:
+                config.insert_json5(path, json.dumps(value))
+            except zenoh.ZError:
+                raise TransportError(f"{failure}: an endpoint looks like tcp/127.0.0.1:7447") from None
         try:
-            config.insert_json5(path, json.dumps(value))
+            return zenoh.open(config)
         except zenoh.ZError:
-            raise TransportError(f"{failure}: an endpoint looks like tcp/127.0.0.1:7447") from None
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError:
-        raise TransportError(failure) from None
+            if time.monotonic() >= until:
+                raise TransportError(failure) from None

@@ -1,13 +1,15 @@
 """Real Zenoh sessions over loopback: a router and clients in one process."""
 
 import socket
+import time
+import zlib
 from collections.abc import Iterator
 from queue import SimpleQueue
 
 import pytest
 
 from maniple.core.errors import TransportError
-from maniple.transport.zenoh import ZenohSession
+from maniple.transport.zenoh import MAX_BYTES, ZenohSession, crc_of
 
 DEADLINE_S = 20.0
 
@@ -97,3 +99,81 @@ def test_no_router_is_one_clear_message() -> None:
 def test_what_is_no_endpoint_is_one_clear_message() -> None:
     with pytest.raises(TransportError, match="an endpoint looks like tcp/"):
         ZenohSession.client("nonsense", "test", timeout_s=0.3)
+
+
+def test_what_is_put_carries_the_crc_of_its_bytes(endpoint: str) -> None:
+    assert crc_of(b"maniple") == zlib.crc32(b"maniple").to_bytes(4, "little")
+    attachments: SimpleQueue[bytes | None] = SimpleQueue()
+    with ZenohSession.client(endpoint, "test") as ear, ZenohSession.client(endpoint, "test") as mouth:
+        ear._session.declare_subscriber(  # as any other program on the network would hear it
+            "test/robot/r1/odometry",
+            lambda sample: attachments.put(
+                None if sample.attachment is None else sample.attachment.to_bytes()
+            ),
+        )
+        ear.settle()
+        mouth.put("robot/r1/odometry", b"bytes")
+        assert attachments.get(timeout=DEADLINE_S) == crc_of(b"bytes")
+
+
+def test_flipped_bits_and_huge_payloads_reach_nobody_and_are_told(endpoint: str) -> None:
+    heard: SimpleQueue[tuple[str, str]] = SimpleQueue()
+    name = "robot/r1/odometry"
+    with ZenohSession.client(endpoint, "test") as ear, ZenohSession.client(endpoint, "test") as mouth:
+        ear.subscribe("**", lambda _, data: heard.put(("", data.decode())), lambda *why: heard.put(why))
+        ear.settle()
+        mouth.put_raw(name, b"what was s\x00nt", crc_of(b"what was sent"))
+        mouth.put_raw(name, b"nothing to check", None)
+        mouth.put_raw(name, b"of another kind", bytes(33))
+        mouth.put_raw(name, bytes(MAX_BYTES + 1), crc_of(b""))
+        mouth.put_raw(name, b"whole", crc_of(b"whole"))
+        told = [heard.get(timeout=DEADLINE_S) for _ in range(5)]
+    assert told == [
+        (name, "corrupted"),
+        ("", "nothing to check"),
+        ("", "of another kind"),
+        (name, "huge"),
+        ("", "whole"),
+    ]
+
+
+@pytest.mark.parametrize(
+    "token", ["r1/0", "r1/-1", "r1/x", "r1/" + "9" * 5000, "r1/\u0663", "-r1/1", "r 1/1"]
+)
+def test_tokens_that_are_no_life_of_a_node_are_nobody(endpoint: str, token: str) -> None:
+    seen: SimpleQueue[tuple[str, int, bool]] = SimpleQueue()
+    with (
+        ZenohSession.client(endpoint, "test") as watcher,
+        ZenohSession.client(endpoint, "test") as forger,
+        ZenohSession.client(endpoint, "test") as asker,
+    ):
+        kept = forger._session.liveliness().declare_token(f"test/alive/{token}")
+        forger.announce("r2", 1)
+        watcher.watch(lambda *life: seen.put(life))
+        assert seen.get(timeout=DEADLINE_S) == ("r2", 1, True)
+        assert asker.everyone() == {"r2": (1,)}
+        kept.undeclare()
+        forger.close()
+        assert seen.get(timeout=DEADLINE_S) == ("r2", 1, False)
+
+
+def test_a_session_is_back_when_its_router_is() -> None:
+    """However long that takes: longer than one attempt to connect does."""
+    address = f"tcp/127.0.0.1:{free_port()}"
+    heard: SimpleQueue[bytes] = SimpleQueue()
+    router = ZenohSession.router(address, "test")
+    with (
+        ZenohSession.client(address, "test", timeout_s=0.3) as ear,
+        ZenohSession.client(address, "test", timeout_s=0.3) as mouth,
+    ):
+        ear.subscribe("formation/state", lambda _, data: heard.put(data))
+        router.close()
+        until = time.monotonic() + 1.0
+        while time.monotonic() < until:
+            mouth.put("formation/state", b"lost")
+        with ZenohSession.router(address, "test"):
+            until = time.monotonic() + DEADLINE_S
+            while heard.empty() and time.monotonic() < until:
+                mouth.put("formation/state", b"heard")
+                time.sleep(0.01)
+            assert heard.get_nowait() == b"heard"
