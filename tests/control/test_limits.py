@@ -3,7 +3,7 @@ import math
 import pytest
 from msgspec.structs import replace
 
-from maniple.control.limits import age_limits, limits_of
+from maniple.control.limits import age_limits, aged, limits_of
 from maniple.core.layers import Layer
 from maniple.core.scenario.types import (
     Avoidance,
@@ -98,3 +98,11 @@ def test_what_sideways_motion_and_steering_limit() -> None:
     assert (car.centre, car.radius) == (0.2, 0.5 * math.hypot(0.511, 0.425))
     assert math.tan(car.swing) == pytest.approx(0.2 * car.curvature)
     assert (lopsided.centre, lopsided.radius) == (0.0, math.hypot(0.5 * 0.511 + 0.1, 0.5 * 0.425))
+
+
+def test_a_command_may_bear_less_age_than_the_robot_but_not_more() -> None:
+    limits = limits_of(*scenario(Placement(), Controller(), Guard(hold_after_s=0.4, stop_after_s=2.0)))
+    for own in (0.0, 2.0, 9.0):
+        assert aged(limits, own) is limits
+    less = aged(limits, 0.5)
+    assert (less.hold_s, less.stop_s) == pytest.approx((0.1, 0.5))
