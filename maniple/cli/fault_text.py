@@ -14,7 +14,6 @@ from maniple.core.scenario.types import Fault, Partition
 from maniple.core.time import Time
 
 _COLOURS = {"running": "red", "to come": "yellow", "over": "dim"}
-_PAST = {"crash": "is dead", "freeze": "is frozen"}
 
 
 def report(plan: FaultPlan | None, now: Time) -> dict[str, Any]:
@@ -91,7 +90,8 @@ def _rows(plan: FaultPlan, now_s: float) -> Iterator[tuple[str, str, str, str, p
 
 def link(rule: Fault) -> str:
     """The links of a rule, in words."""
-    nodes = f"{rule.source} to {rule.destination}"
+    source, destination = ("all" if name == "*" else name for name in (rule.source, rule.destination))
+    nodes = f"{source} to {destination}"
     return nodes if rule.topic == "*" else f"{nodes}: {rule.topic}"
 
 
