@@ -40,7 +40,7 @@ def plan_problems(plan: FaultPlan, robots: Sequence[str], host: str | None = Non
         for text in _rule(f"faults[{index}]", rule, robots)
     ]
     for index, partition in enumerate(plan.partitions):
-        found += _partition(f"partitions[{index}]", partition, ["controller", *robots, _OPERATOR])
+        found += _partition(f"partitions[{index}]", partition, ["controller", *robots, _OPERATOR], host)
     return [*found, *_nodes(plan, robots), *_overlaps(plan, host)]
 
 
@@ -78,7 +78,7 @@ def _rule(path: str, rule: Fault, robots: Sequence[str]) -> Iterator[str]:
             yield f"{path}.windows[{index}] = {[begin, end]}: is empty; must be [from, to) with from < to"
 
 
-def _partition(path: str, partition: Partition, nodes: Sequence[str]) -> Iterator[str]:
+def _partition(path: str, partition: Partition, nodes: Sequence[str], host: str | None) -> Iterator[str]:
     """Groups that are empty, overlap, or leave nobody to be cut off from."""
     if not partition.groups:
         yield f"{path}.groups: missing; must be at least one group of nodes: {some(nodes)}"
@@ -94,7 +94,9 @@ def _partition(path: str, partition: Partition, nodes: Sequence[str]) -> Iterato
             first = group_of(partition, name)
             if first < index and first >= 0 and any(fnmatchcase(name, pattern) for pattern in patterns):
                 yield f"{where}: {name} is in groups[{first}] already; must be in one group"
-    if len({group_of(partition, name) for name in nodes}) == 1:
+    if host is not None and group_of(partition, host) != group_of(partition, "controller"):
+        yield f"{path}.groups: the controller runs on {host}; must be in the same group"
+    elif len({group_of(partition, name) for name in nodes}) == 1:
         yield f"{path}.groups: all nodes are in one group; must leave somebody out, or be more groups"
 
 

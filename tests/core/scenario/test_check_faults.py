@@ -93,6 +93,15 @@ def test_a_rule_is_for_topics_that_faults_apply_to(data: Data, topic: str) -> No
     assert message.startswith(f"faults[0].topic = '{topic}': matches nothing; valid: robot/r1/odometry, ")
 
 
+def test_a_controller_is_where_its_robot_is(data: Data) -> None:
+    alone = "partitions=[{groups=[['r1']]}]"
+    assert checked(data, alone) == []
+    assert checked(data, alone, "controller.host=r2") == []
+    assert checked(data, alone, "controller.host=r1") == [
+        "partitions[0].groups: the controller runs on r1; must be in the same group"
+    ]
+
+
 def test_a_frozen_node_cannot_die(data: Data) -> None:
     freeze = "freezes=[{node='r1', at_s=1, for_s=5}]"
     assert checked(data, freeze, "crashes=[{node='r1', at_s=3}]") == [
