@@ -3,6 +3,7 @@
 import typer
 
 from maniple.cli import (
+    doctor_command,
     fault_command,
     goal_command,
     layer_commands,
@@ -12,6 +13,8 @@ from maniple.cli import (
     report_command,
     run_command,
     scenario_commands,
+    status_command,
+    stop_command,
     sweep_command,
 )
 from maniple.core.version import __version__
@@ -31,6 +34,10 @@ def _pass_on(context: typer.Context) -> None:
 
 app.command("run")(run_command.run)
 app.command("plan")(plan_command.show)
+app.command("status")(status_command.status)
+app.command("stop")(stop_command.stop)
+app.command("arm")(stop_command.arm)
+app.command("doctor")(doctor_command.doctor)
 app.command("report")(report_command.report)
 app.command("sweep")(sweep_command.sweep)
 for _name, _about in node_commands.COMMANDS.items():
