@@ -155,7 +155,7 @@ def phase(progress: Progress) -> str:
     return progress.reason if progress.reason.startswith("waits for") else waits
 
 
-_COLOURS = {
+MODE_COLOURS = {
     "tracking": "green",
     "waiting": "yellow",
     "holding": "yellow",
@@ -179,7 +179,7 @@ def picture(name: str, progress: Progress) -> Group:
         robots.add_column(title, justify="right" if title == "command age" else "left")
     for robot, state in progress.robots.items():
         age = f"{1000 * state.command_age_s:.0f} ms" if state.command_age_s >= 0 else "-"
-        mode = Text(state.mode, style=_COLOURS.get(state.mode, "dim"))
+        mode = Text(state.mode, style=MODE_COLOURS.get(state.mode, "dim"))
         robots.add_row(robot, mode, age, state.guard, Text(state.reason))
     about = Text.assemble((name, "bold"), "  ", (progress.connect, "dim"))
     out = [Text(f"{name} is {how}", style="red") for name, how in progress.processes.items()]
