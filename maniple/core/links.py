@@ -91,7 +91,7 @@ class Link:
     ) -> None:
         queues = {} if queues is None else queues
         self._rules = tuple(
-            _rule(plan, index, rule, source, queues)
+            self._rule(plan, index, rule, source, queues)
             for index, rule in enumerate(plan.faults)
             if matches(rule, source, destination, topic)
         )
@@ -150,11 +150,30 @@ class Link:
             result[place // 8] ^= 1 << place % 8
         return bytes(result)
 
+    def _rule(self, plan: FaultPlan, number: int, fault: Fault, source: str, queues: Queues) -> _Rule:
+        queue = chain = None
+        if fault.rate_kbps is not None and (queue := queues.get((number, source))) is None:
+            queue = queues[number, source] = RateQueue(fault.rate_kbps, fault.queue_s)
+        if fault.burst is not None:
+            chain = BurstChain(
+                fault.burst, lambda life, block, count: self._uniform(life, block, number, count)
+            )
+        return _Rule(
+            number,
+            from_seconds(fault.latency_s),
+            from_seconds(fault.jitter_s),
+            fault.loss,
+            windows_of(plan, fault),
+            fault,
+            chain,
+            queue,
+        )
+
     def _in_burst(self, rule: _Rule, incarnation: int, seq: int, hit: float) -> bool:
         burst = rule.fault.burst
         if burst is None or rule.chain is None:
             return False
-        bad = rule.chain.is_bad(seq, lambda block, k: self._uniform(incarnation, block, rule.number, k))
+        bad = rule.chain.is_bad(incarnation, seq)
         return hit < (burst.loss_bad if bad else burst.loss_good)
 
     def _uniform(self, incarnation: int, seq: int, *rule: int) -> tuple[float, float]:
@@ -168,23 +187,6 @@ class Link:
         counter = struct.pack("<qqq", incarnation, seq, rule)
         words = struct.unpack("<6Q", hashlib.blake2b(counter, key=self._key, digest_size=48).digest())
         return tuple((word >> 11) * 2.0**-53 for word in words)
-
-
-def _rule(plan: FaultPlan, index: int, fault: Fault, source: str, queues: Queues) -> _Rule:
-    if fault.rate_kbps is None:
-        queue = None
-    elif (queue := queues.get((index, source))) is None:
-        queue = queues[index, source] = RateQueue(fault.rate_kbps, fault.queue_s)
-    return _Rule(
-        index,
-        from_seconds(fault.latency_s),
-        from_seconds(fault.jitter_s),
-        fault.loss,
-        windows_of(plan, fault),
-        fault,
-        None if fault.burst is None else BurstChain(fault.burst),
-        queue,
-    )
 
 
 def _has_more(rule: Fault) -> bool:

@@ -19,8 +19,8 @@ CHAINS = [(0.01, 0.2), (0.3, 0.5), (0.5, 0.5), (0.8, 0.7), (1.0, 0.25), (0.002, 
 
 
 def draws(seed: int) -> Draw:
-    def draw(block: int, count: int) -> tuple[float, float]:
-        digest = hashlib.blake2b(struct.pack("<3q", seed, block, count), digest_size=16).digest()
+    def draw(life: int, block: int, count: int) -> tuple[float, float]:
+        digest = hashlib.blake2b(struct.pack("<4q", seed, life, block, count), digest_size=16).digest()
         gap, state = struct.unpack("<2Q", digest)
         return gap * 2.0**-64, state * 2.0**-64
 
@@ -29,8 +29,8 @@ def draws(seed: int) -> Draw:
 
 @cache
 def states(enter: float, leave: float, seed: int = 1, count: int = COUNT) -> NDArray[np.bool_]:
-    chain, draw = BurstChain(Burst(enter=enter, leave=leave)), draws(seed)
-    return np.array([chain.is_bad(seq, draw) for seq in range(count)])
+    chain = BurstChain(Burst(enter=enter, leave=leave), draws(seed))
+    return np.array([chain.is_bad(1, seq) for seq in range(count)])
 
 
 def walked(enter: float, leave: float, draw: Draw, count: int) -> list[bool]:
@@ -39,16 +39,16 @@ def walked(enter: float, leave: float, draw: Draw, count: int) -> list[bool]:
     swaps = enter + leave > 1.0
     share = enter / (enter + leave)
     block = math.ceil(1.0 / fresh)
-    bad = draw(-1, 0)[1] < share
+    bad = draw(1, -1, 0)[1] < share
     found: list[bool] = []
     for seq in range(count):
         if seq % block == 0:
-            number, wait = 0, skipped(draw(seq // block, 0)[0], fresh)
+            number, wait = 0, skipped(draw(1, seq // block, 0)[0], fresh)
         bad = bad != swaps
         if wait == 0:
-            bad = draw(seq // block, number)[1] < ((1.0 - leave) / fresh if swaps else share)
+            bad = draw(1, seq // block, number)[1] < ((1.0 - leave) / fresh if swaps else share)
             number += 1
-            wait = skipped(draw(seq // block, number)[0], fresh)
+            wait = skipped(draw(1, seq // block, number)[0], fresh)
         else:
             wait -= 1
         found.append(bad)
@@ -80,10 +80,10 @@ def test_it_steps_as_the_chain_does(enter: float, leave: float) -> None:
 
 @pytest.mark.parametrize(("enter", "leave"), CHAINS)
 def test_it_is_stationary_from_the_first_message(enter: float, leave: float) -> None:
-    chain = BurstChain(Burst(enter=enter, leave=leave))
+    chain = BurstChain(Burst(enter=enter, leave=leave), draws(1))
     share = enter / (enter + leave)
     for seq in (0, 1, 7):
-        bad = sum(chain.is_bad(seq, draws(seed)) for seed in range(4000))
+        bad = sum(chain.is_bad(life, seq) for life in range(4000))
         assert abs(bad - 4000 * share) <= 4.5 * math.sqrt(4000 * share * (1.0 - share))
 
 
@@ -110,20 +110,29 @@ def test_a_chain_that_swaps_at_every_message_has_no_end_to_walk_to() -> None:
 
 def test_it_costs_the_same_wherever_one_asks() -> None:
     asked: list[int] = []
-    chain = BurstChain(Burst(enter=1e-9, leave=1e-9))
 
-    def counting(block: int, count: int) -> tuple[float, float]:
+    def counting(life: int, block: int, count: int) -> tuple[float, float]:
         asked.append(block)
-        return draws(5)(block, count)
+        return draws(5)(life, block, count)
 
+    chain = BurstChain(Burst(enter=1e-9, leave=1e-9), counting)
     for seq in (0, 10**6, 2**61, 2**62 - 1):
         asked.clear()
-        chain.is_bad(seq, counting)
+        chain.is_bad(1, seq)
         assert len(asked) < 20
+
+
+def test_where_one_asked_before_does_not_matter() -> None:
+    burst = Burst(enter=0.05, leave=0.1)
+    chain = BurstChain(burst, draws(1))
+    asked = [(life, seq) for seq in range(300) for life in (1, 2)]
+    found = {key: chain.is_bad(*key) for key in asked}
+    again = BurstChain(burst, draws(1))
+    assert {key: again.is_bad(*key) for key in sorted(asked, reverse=True)} == found
 
 
 @pytest.mark.parametrize("enter", [0.0, 5e-324, 1e-300])
 def test_numbers_at_the_edge_are_chains_too(enter: float) -> None:
-    assert not BurstChain(Burst(enter=enter, leave=1.0)).is_bad(2**61, draws(1))
-    chain = BurstChain(Burst(enter=enter, leave=5e-324))
-    assert chain.is_bad(2**61, draws(1)) == chain.is_bad(2**61, draws(1))
+    assert not BurstChain(Burst(enter=enter, leave=1.0), draws(1)).is_bad(1, 2**61)
+    chain = BurstChain(Burst(enter=enter, leave=5e-324), draws(1))
+    assert chain.is_bad(1, 0) == chain.is_bad(1, 2**61)
