@@ -34,6 +34,7 @@ class Judge:
         self._limits = {robot.id: limits_of(scenario, robot) for robot in scenario.robots}
         self._drives: defaultdict[tuple[str, int], list[Drive]] = defaultdict(list)
         self._calls: defaultdict[tuple[str, int], list[Call]] = defaultdict(list)
+        self._journaled: dict[tuple[str, int], Time] = {}
         self._commands: dict[tuple[str, int, int], Command] = {}
         self._last: FormationState | None = None
 
@@ -57,6 +58,7 @@ class Judge:
                     call for call in message.calls if call.kind == "message" and "/command" in call.name
                 ]
                 self._calls[message.source, message.incarnation].extend(wanted)
+                self._journaled[message.source, message.incarnation] = message.stamp_ns
 
     def verdict(self) -> Verdict:
         """What the messages so far amount to."""
@@ -77,11 +79,13 @@ class Judge:
             yield f"the formation is off by {off:.2f} m at the end"
 
     def _old_motion(self) -> Iterable[str]:
-        """Drives that were told to move by what is older than the robot's limit, and not to brake."""
+        """Drives that were told to move by what is older than the robot's limit, and not to brake. The last
+        moments of a killed agent are not in its journal, and can't be told."""
         for (robot, life), drives in sorted(self._drives.items()):
             if robot not in self._limits:
                 continue
-            found = self._driven_by_old(robot, life, sorted(drives, key=lambda drive: drive.seq))
+            known = [drive for drive in drives if drive.stamp_ns <= self._journaled.get((robot, life), 0)]
+            found = self._driven_by_old(robot, life, sorted(known, key=lambda drive: drive.seq))
             if found:
                 yield f"{robot} (life {life}) moves on what is old: {found[0]} and {len(found) - 1} more"
 

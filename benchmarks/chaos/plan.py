@@ -36,7 +36,7 @@ def chaos(seed: int) -> Scenario:
     scenario = load(SCENE, (), seed)
     random = stream(seed, "chaos")
     robots = [robot.id for robot in scenario.robots]
-    placements: tuple[Layer, ...] = get_args(Layer)[1:]
+    placements: tuple[Layer, ...] = get_args(Layer)
     crashes = _crashes(random, robots)
     return replace(
         scenario,
