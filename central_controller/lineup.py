@@ -37,6 +37,18 @@ class Lineup:
         return self._building is not None
 
     @property
+    def built_from(self) -> tuple[Point, ...]:
+        """Where the control points of `robots` began, in the formation's frame, while they are on their
+        way."""
+        building = self._building
+        return () if building is None else tuple((x, y) for x, y in building.start.tolist())
+
+    @property
+    def built_s(self) -> float:
+        """For how long they have been on their way, s."""
+        return 0.0 if self._building is None else self._elapsed_s
+
+    @property
     def places(self) -> Floats:
         """Where the control points of `robots` are to be in the end, (k, 2) in m in the formation's frame."""
         return self._targets
@@ -57,6 +69,26 @@ class Lineup:
         self._places = places[list(relabel(places, self._signed))] if self._relabel else places
         self._place_of = {name: place for place, name in enumerate(self._ids)}
         self.chain_up(self._ids)
+
+    def place_of(self, name: str) -> int:
+        """The index of the place that a robot has, be it lost or not."""
+        return self._place_of[name]
+
+    def recall(
+        self,
+        places: Mapping[str, int],
+        there: Sequence[str],
+        built_from: Sequence[Point],
+        built_s: float,
+        speed_mps: float,
+    ) -> None:
+        """Go on where another line-up of the same points was: who has which place, the robots that are there,
+        and how far the building is, by `built_from` and `built_s`."""
+        self._place_of = dict(places)
+        self.chain_up(there)
+        if built_from and len(built_from) == len(self.robots):
+            self._building = Straight(np.array(built_from), self.places, speed_mps)
+            self._elapsed_s = built_s
 
     def plan(self, points: Mapping[str, Point]) -> None:
         """Let the planner decide who of the robots whose control points are at `points`, in the formation's
@@ -121,6 +153,17 @@ class Lineup:
         arms = points - (target.pose.x, target.pose.y)
         carried = turning * np.column_stack([-arms[:, 1], arms[:, 0]]) + (vx, vy)
         return points, ways @ _turned(target.pose.psi) + carried
+
+
+def fitted(points: Floats, places: Floats) -> Pose:
+    """Where the formation's frame is if its `places` are to be nearest to `points`, both (n, 2) in m in the
+    order of the robots: the rigid motion of least squares (Kabsch 1976, doi 10.1107/S0567739476001873)."""
+    middle, own = points.mean(axis=0), places.mean(axis=0)
+    to, of = points - middle, places - own
+    cross = float((of[:, 0] * to[:, 1] - of[:, 1] * to[:, 0]).sum())
+    turned = Pose(0.0, 0.0, math.atan2(cross, float((of * to).sum())))
+    dx, dy = turned.rotate(float(own[0]), float(own[1]))
+    return Pose(float(middle[0]) - dx, float(middle[1]) - dy, turned.psi)
 
 
 def _turned(angle: float) -> Floats:

@@ -4,6 +4,7 @@ from msgspec.structs import replace
 
 from central_controller.reference import REST, Course, Reference, reached
 from maniple.core.geometry import Floats, Pose, wrap
+from maniple.core.messages import Progress
 from maniple.core.scenario.places import legs_of, start_pose
 from maniple.core.scenario.types import Controller, Positioning, Samples, Sequence, Task
 from maniple.core.time import Duration, from_seconds, to_seconds
@@ -16,6 +17,7 @@ class Mission:
     """The legs of a task, one after the other."""
 
     def __init__(self, task: Task, controller: Controller) -> None:
+        self.task = task
         self.course = Course(task, controller)
         self.leg = 0
         self.ended = False
@@ -27,6 +29,16 @@ class Mission:
         """Task time: how far along all its legs."""
         before_s = sum(self.course.duration_s(leg) for leg in range(self.leg))
         return before_s + min(to_seconds(self._time), self.course.duration_s(self.leg))
+
+    @property
+    def progress(self) -> Progress:
+        """What another one of the same task has to `recall` to go on from here."""
+        return Progress(self.leg, self._time, self._within)
+
+    def recall(self, progress: Progress, ended: bool) -> None:
+        """Go on from there."""
+        self.leg = min(max(progress.leg, 0), self.course.legs - 1)
+        self._time, self._within, self.ended = max(progress.leg_ns, 0), max(progress.settled_ns, 0), ended
 
     def advance(self, elapsed: Duration, rate: float, errors: Floats | None) -> None:
         """Go on for `elapsed` at `rate` times the planned pace. A leg of positioning ends by the `errors` of

@@ -8,30 +8,38 @@ from msgspec.structs import replace
 
 from central_controller import formation
 from central_controller.formation import Gains
-from central_controller.lineup import Lineup
+from central_controller.former import FormerLife, Record
+from central_controller.lineup import Lineup, fitted
 from central_controller.mission import Mission, from_here
 from central_controller.planning import follow
 from central_controller.reference import Reference, within
-from central_controller.roster import Member, Roster, View
+from central_controller.roster import AgeLimits, Member, Roster, View, waiting_for
 from central_controller.supervisor import Supervisor, exchange
 from central_controller.waiting import rate
 from central_controller.watched import WatchedLaw, WatchedPlanner
 from maniple.control.builtin import BUILTIN
-from maniple.control.limits import Velocity
+from maniple.control.limits import Velocity, age_limits
 from maniple.control.parts import Parts
 from maniple.control.pipeline import Pipeline, central_layers
-from maniple.core import topics
+from maniple.core import messages, topics
 from maniple.core.geometry import Floats, Pose
-from maniple.core.messages import Alive, Command, FormationState, Goal, Phase, Refused, pack_floats
+from maniple.core.messages import (
+    Alive,
+    Command,
+    FormationState,
+    Goal,
+    Phase,
+    Progress,
+    Refused,
+    Stage,
+    pack_floats,
+)
 from maniple.core.node import Outgoing, Received
 from maniple.core.scenario import outline
 from maniple.core.scenario.check import problems
 from maniple.core.scenario.shapes import pointed
-from maniple.core.scenario.types import Point, Scenario
+from maniple.core.scenario.types import Formation, Point, Scenario
 from maniple.core.time import SECOND, Duration, Time, from_seconds, period, to_seconds
-
-Stage: TypeAlias = Literal["waiting", "forming", "running", "done"]
-"""What there is to do: wait for robots, build the formation, run the task, nothing more."""
 
 Event: TypeAlias = Literal["ready", "built", "ended", "new task"]
 """Every robot has been heard; the formation is built; the task has come to its end; it gets another."""
@@ -51,6 +59,9 @@ STANDING = Velocity()
 LEAST = 3
 """Robots that make a triangle."""
 
+PATIENCE: Duration = SECOND
+"""How long a controller that is started again waits for what the one before it left."""
+
 _LONGEST_STEP: Duration = SECOND // 2
 """After a freeze the reference and the layers of the robots are advanced by no more than this."""
 
@@ -63,11 +74,17 @@ class CentralController:
     others hold their places around it; one that stays away is lost, and the others go on in a new chain of
     triangles until it is back. Robots that have gone silent are still commanded until they are lost: each
     command says how old what it was computed from is, and the robot's own guard acts on that.
+
+    `incarnation` is the life of this controller. A later one than the first goes on where the one before it
+    ended, by the `Mission` and the `FormationState` that the network still has of it, once it has heard the
+    robots that were not lost. Where these are missing it holds until a goal sets the platoon going, from
+    where it is.
     """
 
-    def __init__(self, scenario: Scenario, parts: Parts = BUILTIN) -> None:
+    def __init__(self, scenario: Scenario, parts: Parts = BUILTIN, incarnation: int = 1) -> None:
         layers = central_layers(scenario.placement.robot_from)
-        self._scenario = scenario
+        self._given = self._scenario = scenario
+        self._incarnation = incarnation
         self._robots = {robot.id: robot for robot in scenario.robots}
         self._parts = parts
         self._layers = layers
@@ -76,7 +93,9 @@ class CentralController:
         self._law = WatchedLaw(scenario.controller, parts)
         self._gains = Gains.of(scenario.controller)
         self._planner = WatchedPlanner(scenario.planning, parts)
-        self._roster = Roster(scenario.robots, scenario.controller.host)
+        own = _limits(scenario)
+        self._limits = own
+        self._roster = Roster(scenario.robots, scenario.controller.host, own, incarnation)
         self._lineup = Lineup(scenario, self._planner)
         self._supervisor = self._supervise()
         self._mission = Mission(scenario.task, scenario.controller)
@@ -84,6 +103,8 @@ class CentralController:
         self._pipelines = {robot.id: self._pipeline(robot.id) for robot in scenario.robots}
         self._timers = {CONTROL: period(scenario.rates.control_hz)}
         self._topics = _inputs(self._roster.members, self._with_ranges)
+        former = {topics.FORMATION_STATE, topics.FORMATION_MISSION} if incarnation > 1 else set()
+        self._asked = frozenset(former)
         self._members = {member.id: member for member in self._roster.members}
         self._stage: Stage = "waiting"
         self._told_to_hold = False
@@ -91,7 +112,15 @@ class CentralController:
         self._settling: Duration = 0
         self._errors: Floats | None = None
         self._notes: tuple[str, ...] = ()
-        self._waits_for: tuple[str, ...] = ()
+        self._waits_for: Mapping[str, str] = {}
+        self._stops: Mapping[str, float] = {}
+        self._former = FormerLife(incarnation, tuple(self._robots)) if incarnation > 1 else None
+        self._started: Time = 0
+        self._unknown = ""
+        self._anew = False
+        self._gathering = False
+        self._number = 0
+        self._told: messages.Mission | None = None
         self._goal = self._goal_refused = ""
         self._refused = 0
         self._ticked: Time | None = None
@@ -104,7 +133,8 @@ class CentralController:
     @property
     def subscriptions(self) -> frozenset[str]:
         """Topics the node receives."""
-        return frozenset(self._topics) | {topics.FORMATION_GOAL, topics.HOST_ALIVE, topics.HOST_REFUSED}
+        always = {topics.FORMATION_GOAL, topics.HOST_ALIVE, topics.HOST_REFUSED}
+        return frozenset(self._topics) | always | self._asked
 
     @property
     def timers(self) -> Mapping[str, Duration]:
@@ -112,14 +142,18 @@ class CentralController:
         return self._timers
 
     def on_start(self, now: Time) -> list[Outgoing]:
-        """Say that the platoon is waited for."""
-        return [self._state(self._reference(), now)]
+        """Say that the platoon is waited for; a later life first hears what there is to say."""
+        self._started = now
+        return [] if self._former is not None else self._said(now)
 
     def on_message(self, message: Received, now: Time) -> list[Outgoing]:
         """Take in what a robot said, what an operator wants, or who is alive."""
         body = message.message
         if isinstance(body, Refused):
-            self._refused += 1
+            self._refused += body.count
+        elif isinstance(body, messages.Mission | FormationState):
+            if self._former is not None:
+                self._former.heard(body)
         elif isinstance(body, Goal):
             self._take(body, now)
         else:
@@ -130,21 +164,23 @@ class CentralController:
 
     def on_timer(self, timer: str, now: Time) -> list[Outgoing]:
         """One tick: a command to every robot of the chain once the task has begun, and the state."""
-        if timer != CONTROL:
+        if timer != CONTROL or not self._informed(now):
             return []
         elapsed = 0 if self._ticked is None else min(now - self._ticked, _LONGEST_STEP)
         self._ticked = now
         if self._stage == "waiting":
-            if self._roster.ready(now, self._with_ranges):
+            if not self._unknown and self._roster.ready(now, self._with_ranges):
                 self._begin(now)
-        elif self._roster.review(self._lost_after, now):
+        elif self._roster.review(self._lost_after, now) and not self._gathering:
             self._reorganise(now)
+        if self._gathering:
+            self._gather(now)
         self._waits_for = self._roster.waited_for(now)
         views = self._views(now)
-        if self._stage == "waiting" or not self._enough or self._faults:
+        if self._stage == "waiting" or self._gathering or not self._enough or self._faults:
             self._errors, self._notes, self._rate = None, (), 0.0
             self._ticked = None
-            return [*self._stand(views), self._state(self._reference(), now)]
+            return [*self._stand(views), *self._said(now)]
         return self._guide(views, elapsed, now)
 
     def on_stop(self, now: Time) -> list[Outgoing]:
@@ -157,12 +193,16 @@ class CentralController:
 
     @property
     def _phase(self) -> Phase:
-        held = self._stage in ("forming", "running") and self._reason
+        held = self._unknown or (self._stage in ("forming", "running") and self._reason)
         return "holding" if held else self._stage
 
     @property
     def _reason(self) -> str:
         """Why the platoon holds; empty while it does not."""
+        if self._unknown:
+            return self._unknown
+        if self._gathering:
+            return "the controller was started again"
         if (left := len(self._roster.active)) < LEAST:
             return f"{left} robots are left; a formation needs {LEAST}"
         if faults := self._faults:
@@ -179,13 +219,23 @@ class CentralController:
         """Everybody is there: say who goes where."""
         self._roster.locate()
         planning = self._scenario.planning
+        if self._anew:
+            self._from_here(now)
         points = self._own_points(now)
         self._plan(points)
         self._happened("ready")
-        if planning.build == "straight":
+        if planning.build == "straight" or self._anew:
             self._lineup.build(points, planning.speed_mps)
         elif planning.build == "off":
             self._happened("built")
+
+    def _from_here(self, now: Time) -> None:
+        """Let the task begin where the robots are, as nobody knows where the reference was."""
+        members = self._roster.active
+        views = [view for member in members if (view := member.view(now)) is not None]
+        places = self._lineup.places[[self._lineup.robots.index(member.id) for member in members]]
+        here = self._roster.frame.compose(fitted(np.array([view.point for view in views]), places))
+        self._undertake(here)
 
     def _plan(self, points: Mapping[str, Point]) -> None:
         """Decide who of the robots at `points`, in the formation's own frame, goes where."""
@@ -221,13 +271,13 @@ class CentralController:
         for name, (vx, vy) in zip(robots, velocities.tolist(), strict=True):
             member, view = self._members[name], views[name]
             wanted = (*member.mounting.velocity_in_own(vx, vy), target.velocity[2])
-            free = name not in self._waits_for and not member.held_back
+            free = name not in self._waits_for and member.free(now)
             told = self._pipelines[name].step(
                 wanted, view.heading, member.returns, view.velocity, to_seconds(elapsed), free
             )
             age = max(oldest, member.returns_age(now)) if self._with_ranges else oldest
             out.append(self._command(name, view, told, age))
-        return [*out, self._state(target, now)]
+        return [*out, *self._said(now)]
 
     def _wanted(self, positions: Floats, target: Reference, elapsed: Duration) -> Floats:
         """The velocities of the control points of the chain, (k, 2) in m/s."""
@@ -309,6 +359,9 @@ class CentralController:
 
     def _take(self, goal: Goal, now: Time) -> None:
         """Do what the operator wants, or say why not. The latched goal comes again to whoever asks."""
+        if self._former is not None and not self._unknown:
+            self._former.heard(goal)
+            return
         if goal.id == self._goal:
             return
         self._goal, self._goal_refused = goal.id, ""
@@ -327,6 +380,9 @@ class CentralController:
         if goal.task is not None:
             self._retask(scenario)
         self._scenario = scenario
+        self._limit()
+        if self._unknown and (goal.task is not None or goal.hold is False):
+            self._unknown, self._former, self._anew = "", None, True
 
     def _reshape(self, points: Sequence[Point], now: Time) -> None:
         """Take a new shape on, on the way."""
@@ -340,10 +396,83 @@ class CentralController:
 
     def _retask(self, scenario: Scenario) -> None:
         """Begin another task, from where the reference is."""
-        pose = self._mission.reference(0.0).pose
-        speed, reach = scenario.planning.speed_mps, self._lineup.reach_m
-        self._mission = Mission(from_here(scenario.task, pose, speed, reach), scenario.controller)
+        self._scenario = scenario
+        self._undertake(self._mission.reference(0.0).pose)
         self._happened("new task")
+
+    def _undertake(self, here: Pose) -> None:
+        """Begin the task with the reference at `here`."""
+        scenario = self._scenario
+        task = from_here(scenario.task, here, scenario.planning.speed_mps, self._lineup.reach_m)
+        self._mission = Mission(task, scenario.controller)
+
+    def _limit(self) -> None:
+        """How old commands may be follows the task and the shape; robots are told where they may not be as
+        old as by the scenario they know."""
+        limits = _limits(replace(self._scenario, task=self._mission.task))
+        for name, member in self._members.items():
+            member.limit(limits[name])
+        self._stops = {
+            name: now.stop_s for name, now in limits.items() if now.stop_s < self._limits[name].stop_s
+        }
+
+    def _informed(self, now: Time) -> bool:
+        """Whether it is known what there is to do, or known that it is not. A later life than the first
+        listens for what the one before it left."""
+        former = self._former
+        if former is None:
+            return True
+        if (record := former.record()) is not None:
+            self._former, self._unknown = None, ""
+            self._resume(record)
+            if former.goal is not None:
+                self._take(former.goal, now)
+        elif not self._unknown and now - self._started >= PATIENCE:
+            self._unknown = f"the controller was started again and knows {former.missing}; waits for a goal"
+            if former.goal is not None:  # it may have been reached long ago
+                self._goal, self._goal_refused = former.goal.id, "the controller was started again"
+        return self._former is None or bool(self._unknown)
+
+    def _resume(self, record: Record) -> None:
+        """Go on where the life before ended."""
+        mission, state, progress = record
+        scenario = self._scenario
+        if mission.task is not None:
+            scenario = replace(scenario, task=mission.task)
+        if mission.points is not None:
+            scenario = replace(scenario, formation=Formation(points=mission.points))
+            self._lineup.set_points(mission.points)
+        self._scenario = scenario
+        self._roster.recall(mission.seats)
+        self._lineup.recall(
+            {seat.id: seat.place for seat in mission.seats},
+            [member.id for member in self._roster.active],
+            mission.built_from,
+            to_seconds(progress.built_ns),
+            scenario.planning.speed_mps,
+        )
+        self._mission = Mission(mission.course or scenario.task, scenario.controller)
+        self._mission.recall(progress, mission.stage == "done")
+        self._settling = progress.settled_ns
+        self._stage, self._told_to_hold = mission.stage, mission.hold
+        self._goal, self._goal_refused = mission.goal, mission.goal_refused
+        self._number = mission.number
+        for report in state.roster:
+            if report.id in self._pipelines:
+                self._pipelines[report.id].recall(report.memory, report.compensation)
+        self._supervisor = self._supervise()
+        if state.chain == self._lineup.robots:
+            self._supervisor.recall(state.led)
+        self._gathering = self._stage != "waiting"
+        self._limit()
+
+    def _gather(self, now: Time) -> None:
+        """After a start in the middle of the task: go on once every robot that is not lost is heard."""
+        if not self._roster.ready(now, self._with_ranges):
+            return
+        self._gathering = False
+        if {member.id for member in self._roster.active} != set(self._lineup.robots):
+            self._reorganise(now)
 
     def _views(self, now: Time) -> dict[str, View]:
         """Every robot that is there as the law sees it; those not heard yet are left out."""
@@ -352,14 +481,19 @@ class CentralController:
 
     def _stand(self, views: Mapping[str, View]) -> list[Outgoing]:
         """Tell the robots of the chain to stand, once they were told to go."""
-        if self._stage == "waiting":
+        if self._stage == "waiting" or self._gathering:
             return []
         oldest = max((view.age for view in views.values()), default=0)
         return [self._command(name, view, STANDING, oldest) for name, view in views.items()]
 
     def _command(self, name: str, view: View, told: Velocity, age: Duration) -> Outgoing:
         command = Command(
-            layer=self._layer, values=told[:2], third=told[2], answers=view.answers, inputs_age_ns=age
+            layer=self._layer,
+            values=told[:2],
+            third=told[2],
+            answers=view.answers,
+            inputs_age_ns=age,
+            stop_after_s=self._stops.get(name, 0.0),
         )
         return Outgoing(topics.command(name), command)
 
@@ -371,9 +505,43 @@ class CentralController:
     def _pipeline(self, name: str) -> Pipeline:
         return Pipeline(self._layers, self._scenario, self._robots[name], self._parts)
 
-    def _state(self, target: Reference, now: Time) -> Outgoing:
+    def _said(self, now: Time) -> list[Outgoing]:
+        """The state of the formation, and before it the mission where that has changed."""
+        state = Outgoing(topics.FORMATION_STATE, self._state(self._reference(), now))
+        if self._unknown:
+            return [state]
+        mission = self._record()
+        if mission == self._told:
+            return [state]
+        self._told, self._number = mission, self._number + 1
+        told = replace(mission, number=self._number, progress=self._progress())
+        state = state._replace(message=replace(state.message, mission=self._number))
+        return [Outgoing(topics.FORMATION_MISSION, told), state]
+
+    def _record(self) -> messages.Mission:
+        """What the next life has to know that changes seldom, without its number and how far things are."""
+        scenario, given, mission, lineup = self._scenario, self._given, self._mission, self._lineup
+        return messages.Mission(
+            number=0,
+            stage=self._stage,
+            seats=tuple(member.seat(lineup.place_of(member.id)) for member in self._roster.members),
+            task=None if scenario.task is given.task else scenario.task,
+            course=None if mission.task is scenario.task else mission.task,
+            points=None if scenario.formation is given.formation else scenario.formation.points,
+            built_from=lineup.built_from,
+            hold=self._told_to_hold,
+            goal=self._goal,
+            goal_refused=self._goal_refused,
+        )
+
+    def _progress(self) -> Progress:
+        progress = self._mission.progress
+        settled = self._settling if self._stage == "forming" else progress.settled_ns
+        return replace(progress, settled_ns=settled, built_ns=from_seconds(self._lineup.built_s))
+
+    def _state(self, target: Reference, now: Time) -> FormationState:
         lineup, mission = self._lineup, self._mission
-        state = FormationState(
+        return FormationState(
             phase=self._phase,
             task_time_s=mission.time_s,
             task_duration_s=mission.course.total_s,
@@ -382,20 +550,28 @@ class CentralController:
             chain=lineup.robots,
             errors=b"" if self._errors is None else pack_floats(self._errors),
             roster=tuple(
-                member.report(now, self._pipelines[member.id].compensation) for member in self._roster.members
+                member.report(now, line.compensation, line.memory)
+                for member, line in zip(self._roster.members, self._pipelines.values(), strict=True)
             ),
-            waits_for=self._waits_for,
+            waits_for=tuple(self._waits_for),
             refused=self._refused,
             frame=self._scenario.controller.host or "world",
             points=lineup.packed(),
             leg=mission.leg,
             rate=self._rate,
-            reason=self._reason,
+            reason="; ".join(filter(None, (self._reason, waiting_for(self._waits_for)))),
             goal=self._goal,
             goal_refused=self._goal_refused,
             supervisor=self._notes,
+            mission=self._number,
+            progress=self._progress(),
+            led=self._supervisor.memory,
         )
-        return Outgoing(topics.FORMATION_STATE, state)
+
+
+def _limits(scenario: Scenario) -> dict[str, AgeLimits]:
+    """How old the commands of each robot may be."""
+    return {robot.id: AgeLimits(*age_limits(scenario, robot)) for robot in scenario.robots}
 
 
 def _inputs(members: Sequence[Member], with_ranges: bool) -> dict[str, Member]:

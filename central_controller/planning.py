@@ -182,19 +182,19 @@ class Straight:
 
     def __init__(self, start: Floats, end: Floats, speed_mps: float) -> None:
         """From `start` (n, 2) to `end` (n, 2); `speed_mps` is the largest that the fastest point reaches."""
-        self._start = np.array(start, dtype=np.float64)
-        self._way = np.asarray(end, dtype=np.float64) - self._start
+        self.start = np.array(start, dtype=np.float64)
+        self._way = np.asarray(end, dtype=np.float64) - self.start
         longest = float(np.linalg.norm(self._way, axis=1).max())
         self.duration_s = STRAIGHT * longest / speed_mps
 
     def at(self, t_s: float) -> tuple[Floats, Floats]:
         """The points (n, 2) in m and their velocities (n, 2) in m/s; at rest before 0 and after the end."""
         if t_s <= 0.0 or t_s >= self.duration_s:
-            return self._start + (self._way if t_s > 0.0 or not self.duration_s else 0.0), 0.0 * self._way
+            return self.start + (self._way if t_s > 0.0 or not self.duration_s else 0.0), 0.0 * self._way
         s = t_s / self.duration_s
         share = s * s * s * (10.0 - s * (15.0 - 6.0 * s))
         rate = 30.0 * (s * (1.0 - s)) ** 2 / self.duration_s
-        return self._start + share * self._way, rate * self._way
+        return self.start + share * self._way, rate * self._way
 
 
 def follow(points: Floats, velocities: Floats, positions: Floats, gains: Gains) -> Floats:

@@ -1,25 +1,42 @@
-"""Who is in the platoon, what each robot said last, and how long ago by the controller's own clock."""
+"""Who is in the platoon, what each robot said last, and how old that is by the controller's own clock."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
+from central_controller.ages import RobotClock
 from central_controller.frames import Mounting, propagated
 from maniple.control.limits import Velocity
 from maniple.control.returns import Returns, returns_of
 from maniple.core import topics
 from maniple.core.geometry import Pose
-from maniple.core.messages import Alive, Message, Odometry, RobotReport, Scan, Stamp, Status
+from maniple.core.messages import Alive, Message, Odometry, RobotReport, Scan, Seat, Stamp, Status
 from maniple.core.scenario.types import Robot
-from maniple.core.time import Duration, Time, from_seconds, to_seconds
+from maniple.core.time import SECOND, Duration, Time, from_seconds, to_seconds
 
 Presence: TypeAlias = Literal["absent", "present", "silent", "unlocalised"]
-"""Not there; there and heard; there, as far as known, and not heard for too long; or living anew without
+"""Not there; there and heard; there, as far as known, and what was heard is too old; or living anew without
 knowing where its odometry frame lies."""
 
 WORLD = Pose(0.0, 0.0, 0.0)
 
 OUT_OF_CONTROL = ("fault", "stopped")
 """Modes of an agent that won't do what it is told."""
+
+BACK_AFTER: Duration = SECOND
+"""A lost robot is back once it has been fit for this long; twice as long each time it is lost again, ..."""
+
+LONGEST_BACK: Duration = 16 * SECOND
+"""... up to this, ..."""
+
+FORGIVEN_AFTER: Duration = 60 * SECOND
+"""... unless it was there for this long in between."""
+
+
+class AgeLimits(NamedTuple):
+    """How old the commands of a robot may be, s; see `maniple.control.limits.age_limits`."""
+
+    hold_s: float = 0.0
+    stop_s: float = 0.0
 
 
 class View(NamedTuple):
@@ -38,39 +55,63 @@ class View(NamedTuple):
 
 
 class Member:
-    """One robot of the platoon and the last that was heard of it."""
+    """One robot of the platoon and the last that was heard of it.
 
-    def __init__(self, robot: Robot, frame: Pose = WORLD) -> None:
+    `limits` are what its commands may be old: what is computed from an odometry older than that moves nobody.
+    `incarnation` is the life of the controller.
+    """
+
+    def __init__(
+        self, robot: Robot, frame: Pose = WORLD, limits: AgeLimits | None = None, incarnation: int = 1
+    ) -> None:
         self.id = robot.id
         self.mounting = Mounting(frame.inverse().compose(initial_pose(robot)), robot.control_point_m)
         self.odometry: Odometry | None = None
         self.returns: Returns | None = None
         self.mode = ""
+        self.reason = ""
+        """Why it is not tracking, by its own account."""
         self.held_back = False
         """Whether its guard, by its last status, kept it from doing what it could have done."""
         self.lost = False
         """Whether the others go on without it."""
+        self._controller = incarnation
+        self._clock = RobotClock(incarnation)
         self._odometry_at: Time = 0
         self._returns_at: Time = 0
+        self._scan: Scan | None = None
+        self._command_age_s = -1.0
         self._alive = False
-        self._incarnation = -1
+        self._incarnation = 0
         self._located: int | None = None
+        self._frame_id: str | None = None
         self._localised = True
+        self._fit_since: Time | None = None
         self._unfit_since: Time | None = None
+        self._back_at: Time | None = None
+        self._back_after = BACK_AFTER
+        self._cause = ("", "")
         self._stale_after = from_seconds(topics.topic(topics.odometry(robot.id)).stale_after_s)
+        self.limit(limits or AgeLimits())
+
+    def limit(self, limits: AgeLimits) -> None:
+        """How old its commands may be from here on."""
+        self._limits = limits
+        self._late_after = max(from_seconds(limits.hold_s), self._stale_after)
+        self._silent_after = max(from_seconds(limits.stop_s), self._stale_after)
 
     def heard(self, message: Message, now: Time) -> None:
         """One of the robot's own messages arrived, or news of its life."""
         if isinstance(message, Odometry):
-            if self._located in (None, message.incarnation):
-                self.odometry = message
-                self._odometry_at = now
+            if self._believes(message):
+                self._take(message, now)
         elif isinstance(message, Scan):
             self.returns = returns_of(message)
-            self._returns_at = now
+            self._scan, self._returns_at = message, now
         elif isinstance(message, Status):
-            self.mode = message.mode
+            self.mode, self.reason = message.mode, message.reason
             self.held_back = message.guard in ("age", "clearance", "blind")
+            self._command_age_s = message.command_age_s
             self._localised = message.localised
             if self._located is not None and message.localised:
                 self._located = max(self._located, message.incarnation)
@@ -83,18 +124,49 @@ class Member:
             self._incarnation = incarnation
             self._alive = alive
 
+    def _take(self, odometry: Odometry, now: Time) -> None:
+        if self.odometry is None or self.odometry.incarnation != odometry.incarnation:
+            self._clock = RobotClock(self._controller)
+        self._clock.heard(odometry, now)
+        self.odometry = odometry
+        self._odometry_at = now
+
+    def _believes(self, odometry: Odometry) -> bool:
+        """Whether it is given in the frame that is known."""
+        return self._located in (None, odometry.incarnation) and self._frame_id in (None, odometry.frame_id)
+
+    def free(self, now: Time) -> bool:
+        """Whether what its odometry shows is what its drive made of what it was told."""
+        age = self.odometry_age(now)
+        return not self.held_back and age is not None and age <= self._stale_after
+
     def locate(self) -> None:
         """From now on a life is believed whose odometry frame is known: the present one, which began at the
         initial pose of the scenario, and a later one that says it has resumed that frame."""
-        self._located = None if self.odometry is None else self.odometry.incarnation
+        if self.odometry is not None:
+            self._located, self._frame_id = self.odometry.incarnation, self.odometry.frame_id
+
+    def seat(self, place: int) -> Seat:
+        """What the next life of the controller has to know of it, whose place is `place`."""
+        return Seat(self.id, place, self._located or 0, self._frame_id or "", self.lost)
+
+    def recall(self, seat: Seat) -> None:
+        """Go on with what the life of the controller before this one knew."""
+        self._located, self._frame_id = seat.incarnation or None, seat.frame_id or None
+        self.lost = seat.lost
+        if self.odometry is not None and not self._believes(self.odometry):
+            self.odometry = None
 
     def odometry_age(self, now: Time) -> Duration | None:
-        """Since its odometry arrived."""
-        return None if self.odometry is None else now - self._odometry_at
+        """Since its odometry was sent."""
+        return None if self.odometry is None else self._clock.age(self.odometry.stamp_ns, now)
 
     def returns_age(self, now: Time) -> Duration:
-        """Since what it senses arrived; all of time where nothing has."""
-        return now - self._returns_at
+        """Since what it senses was sent; all of time where nothing has come."""
+        scan, odometry = self._scan, self.odometry
+        if scan is None or odometry is None or scan.incarnation != odometry.incarnation:
+            return now - self._returns_at
+        return self._clock.age(scan.stamp_ns, now)
 
     def presence(self, now: Time) -> Presence:
         """Whether it is there, and heard."""
@@ -103,7 +175,7 @@ class Member:
         if self._located not in (None, self._incarnation) or not self._localised:
             return "unlocalised"
         age = self.odometry_age(now)
-        return "silent" if age is None or age > self._stale_after else "present"
+        return "silent" if age is None or age > self._silent_after else "present"
 
     def fit(self, now: Time) -> bool:
         """Whether it can be told where to go: there, heard, and in control of its drive."""
@@ -111,25 +183,70 @@ class Member:
 
     def review(self, lost_after: Duration, anybody_fit: bool, now: Time) -> bool:
         """Whether it has just been lost or come back. While nobody is fit nobody is lost: then it is the
-        network that is gone."""
+        network that is gone. One that comes and goes has to stay ever longer to be taken in again."""
+        before = self.lost
         if self.fit(now):
             self._unfit_since = None
-        elif self._unfit_since is None or not anybody_fit:
-            self._unfit_since = now
-        unfit = self._unfit_since
-        lost = unfit is not None and (self.lost or now - unfit >= lost_after)
-        lost, self.lost = self.lost, lost
-        return lost != self.lost
+            self._fit_since = now if self._fit_since is None else self._fit_since
+            self.lost = before and now - self._fit_since < self._back_after
+        else:
+            self._fit_since = None
+            if self._unfit_since is None or not anybody_fit:
+                self._unfit_since = now
+            self.lost = before or now - self._unfit_since >= lost_after
+        if self.lost and not before:
+            again = self._back_at is not None and now - self._back_at < FORGIVEN_AFTER
+            self._back_after = min(2 * self._back_after, LONGEST_BACK) if again else BACK_AFTER
+        elif before and not self.lost:
+            self._back_at = now
+        return self.lost != before
 
-    def report(self, now: Time, compensation: tuple[float, ...] = ()) -> RobotReport:
-        """What `formation/state` says of it."""
-        age = self.odometry_age(now)
+    def cause(self, now: Time) -> str:
+        """Why the reference waits for it, with the figures of when that began; empty if it does not."""
+        kind, text = self._hindrance(now)
+        if kind != self._cause[0]:
+            self._cause = kind, text
+        return self._cause[1]
+
+    def _hindrance(self, now: Time) -> tuple[str, str]:
+        """What kind of reason there is to wait for it, and in words."""
+        presence, odometry, limits = self.presence(now), self.odometry, self._limits
+        if presence == "absent":
+            return presence, "it is not there"
+        if presence == "unlocalised":
+            return presence, "it does not know where it is"
+        if odometry is None:
+            return "unheard", "it was not heard yet"
+        age = self._clock.age(odometry.stamp_ns, now)
+        if age > self._late_after:
+            if now - self._odometry_at > self._late_after:
+                return "silent", "it is not heard"
+            return "late", f"its odometry is {to_seconds(age):.1f} s old, the limit {limits.hold_s:.2f} s"
+        if self.mode in ("tracking", ""):
+            return self.mode or "new", "" if self.mode else "it has not said how it is"
+        if self.mode == "holding" and self._command_age_s > limits.hold_s > 0.0:
+            return "old", f"the command is {self._command_age_s:.1f} s old, the limit {limits.hold_s:.2f} s"
+        text = f"{self.mode}{': ' * bool(self.reason)}{self.reason}"
+        return without_figures(text), text
+
+    def report(
+        self,
+        now: Time,
+        compensation: tuple[float, ...] = (),
+        memory: tuple[tuple[float, ...], ...] = (),
+    ) -> RobotReport:
+        """What `formation/state` says of it, and of its layers."""
+        age, both_ways = self.odometry_age(now), self._clock.round_trip
         return RobotReport(
             id=self.id,
             state="lost" if self.lost else self.presence(now),
             odometry_age_s=-1.0 if age is None else to_seconds(age),
             mode=self.mode,
             compensation=compensation,
+            incarnation=self._incarnation,
+            reason=self.reason,
+            round_trip_s=-1.0 if both_ways is None else to_seconds(both_ways),
+            memory=memory,
         )
 
     def view(self, now: Time) -> View | None:
@@ -138,8 +255,8 @@ class Member:
         odometry = self.odometry
         if odometry is None:
             return None
-        age = now - self._odometry_at
-        own = propagated(odometry, to_seconds(min(age, self._stale_after)))
+        age = self._clock.age(odometry.stamp_ns, now)
+        own = propagated(odometry, to_seconds(min(age, self._silent_after)))
         answers = Stamp(odometry.incarnation, odometry.seq, odometry.stamp_ns)
         velocity = Velocity(odometry.u_mps, odometry.w_radps, odometry.v_mps)
         return View(own.psi, self.mounting.point(own), age, answers, velocity)
@@ -147,28 +264,42 @@ class Member:
 
 class Roster:
     """The platoon in the order of the scenario. With `host`, everything is given in the odometry frame of the
-    robot of that name, else in the world's.
+    robot of that name, else in the world's. `limits` and `incarnation` are as for a `Member`.
 
     `active` are those that are not lost.
     """
 
-    def __init__(self, robots: Sequence[Robot], host: str | None = None) -> None:
+    def __init__(
+        self,
+        robots: Sequence[Robot],
+        host: str | None = None,
+        limits: Mapping[str, AgeLimits] | None = None,
+        incarnation: int = 1,
+    ) -> None:
         self.frame = next((initial_pose(robot) for robot in robots if robot.id == host), WORLD)
         """Of the platoon's frame in the world, m, m, rad."""
-        self.members = tuple(Member(robot, self.frame) for robot in robots)
+        limits = limits or {}
+        self.members = tuple(Member(robot, self.frame, limits.get(robot.id), incarnation) for robot in robots)
         self.active = self.members
 
     def ready(self, now: Time, with_ranges: bool) -> bool:
-        """Whether every robot is there and is heard: its odometry and, if asked, what it senses."""
+        """Whether every robot that is not lost is there and is heard: its odometry and, if asked, what it
+        senses."""
         return all(
             member.presence(now) == "present" and (member.returns is not None or not with_ranges)
-            for member in self.members
+            for member in self.active
         )
 
     def locate(self) -> None:
         """The task begins: where every robot's odometry frame lies is known from here on."""
         for member in self.members:
             member.locate()
+
+    def recall(self, seats: Sequence[Seat]) -> None:
+        """Go on with what the life of the controller before this one knew of every robot."""
+        for member, seat in zip(self.members, seats, strict=True):
+            member.recall(seat)
+        self.active = tuple(member for member in self.members if not member.lost)
 
     def review(self, lost_after: Duration, now: Time) -> bool:
         """Whether a robot has just been lost or come back, so that the triangles need a new order."""
@@ -179,13 +310,26 @@ class Roster:
         self.active = tuple(member for member in self.members if not member.lost)
         return True
 
-    def waited_for(self, now: Time) -> tuple[str, ...]:
-        """The robots that do not follow now: not heard, or not tracking by their own account."""
-        return tuple(
-            member.id
-            for member in self.active
-            if member.presence(now) != "present" or member.mode != "tracking"
-        )
+    def waited_for(self, now: Time) -> dict[str, str]:
+        """The robots that do not follow now, and why: not there, not heard or too late, or not tracking by
+        their own account."""
+        causes = {member.id: member.cause(now) for member in self.active}
+        return {name: cause for name, cause in causes.items() if cause}
+
+
+def waiting_for(causes: Mapping[str, str]) -> str:
+    """Whom the reference waits for, and why, in a line; empty for nobody. Of robots that are waited for for
+    the same reason the first says it for all."""
+    groups: dict[str, tuple[list[str], str]] = {}
+    for name, cause in causes.items():
+        groups.setdefault(without_figures(cause), ([], cause))[0].append(name)
+    parts = [f"for {', '.join(names)}: {cause}" for names, cause in groups.values()]
+    return f"waits {'; '.join(parts)}" if parts else ""
+
+
+def without_figures(text: str) -> str:
+    """A text without its digits: the same for the same thing at another moment."""
+    return "".join(letter for letter in text if not letter.isdigit())
 
 
 def initial_pose(robot: Robot) -> Pose:

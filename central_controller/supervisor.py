@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from central_controller.planning import approaches
 from maniple.core.geometry import Floats
+from maniple.core.messages import Led
 from maniple.core.scenario import types
 
 Kind: TypeAlias = Literal["p", "q", "median", "height"]
@@ -84,6 +85,19 @@ class Supervisor:
         self._names = tuple(names)
         self._acting: dict[Watch, float] = {}
         """What is acted on, and which way round the robot is led: 1 counter-clockwise, -1 clockwise."""
+
+    @property
+    def memory(self) -> tuple[Led, ...]:
+        """What the next one of the same chain has to `recall` to go on."""
+        return tuple(Led(*watch, way) for watch, way in self._acting.items())
+
+    def recall(self, memory: Sequence[Led]) -> None:
+        """Go on with what was acted on."""
+        n = len(self._names)
+        known = [watch for robot in range(1, n) for watch in _watches(robot, n, self._signed)]
+        for led in memory:
+            found = [watch for watch in known if watch == (led.kind, led.triangle, led.robot)]
+            self._acting.update(dict.fromkeys(found, led.way))
 
     def step(self, points: Floats, places: Floats, velocities: Floats) -> Guided:
         """What the robots do instead of `velocities` (n, 2) in m/s, what the law wants of the control points.

@@ -28,7 +28,7 @@ def factories(scenario: Scenario) -> Mapping[str, Callable[[int], Node]]:
     }
     return {
         "simulator": lambda _: Simulator(scenario),
-        "controller": lambda _: CentralController(scenario, parts_of(scenario)),
+        "controller": lambda incarnation: CentralController(scenario, parts_of(scenario), incarnation),
         **robots,
     }
 

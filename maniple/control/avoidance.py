@@ -63,6 +63,16 @@ class Impedances:
         self._returns: Returns | None = None
         self._sides = CALM
 
+    @property
+    def memory(self) -> tuple[float, ...]:
+        """See `Remembering`: an `AvoidanceState`."""
+        return () if self._state == REST else tuple(self._state)
+
+    def recall(self, memory: tuple[float, ...]) -> None:
+        """See `Remembering`."""
+        u_cor, u_rate, w_cor, w_rate = memory or REST
+        self._state = AvoidanceState(u_cor, u_rate, w_cor, w_rate)
+
     def step(self, wanted: Velocity, returns: Returns | None, dt_s: float) -> Velocity:
         """See `AvoidanceLaw`. While nothing is known the corrections fade."""
         if returns is not self._returns:

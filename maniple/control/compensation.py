@@ -119,6 +119,16 @@ class Adaptive:
         """th1 .. th6 as they are now."""
         return self._theta
 
+    def recall(self, parameters: tuple[float, ...]) -> None:
+        """Go on with what was learnt.
+
+        Raises:
+            ValueError: there are not six of them.
+        """
+        self._theta = tuple(
+            min(max(th, low), high) for th, (low, high) in zip(parameters, self._bounds, strict=True)
+        )
+
     def step(self, desired: Velocity, measured: Velocity, free: bool, dt_s: float) -> Velocity:
         """See `CompensationLaw`."""
         rates = Velocity(*(d.step(x, dt_s) for d, x in zip(self._rates, desired, strict=True)))

@@ -80,6 +80,16 @@ class Car(_Rigid):
         self._edge = math.atan(a * curvature)
         self._gear = 1.0
 
+    @property
+    def memory(self) -> tuple[float, ...]:
+        """See `Remembering`: -1 in reverse."""
+        return () if self._gear > 0.0 else (self._gear,)
+
+    def recall(self, memory: tuple[float, ...]) -> None:
+        """See `Remembering`."""
+        (gear,) = memory or (1.0,)
+        self._gear = math.copysign(1.0, gear)
+
     def inverse(self, psi: float, vx: float, vy: float, turn: float) -> Velocity:  # noqa: ARG002
         """See `Kinematics`: exact within g of straight ahead, or back while in reverse."""
         ahead, aside = Pose(0.0, 0.0, -psi).rotate(vx, vy)

@@ -17,6 +17,21 @@ from maniple.core.geometry import Floats
 from maniple.core.scenario.types import Avoidance, Compensation, Controller, RobotModel
 
 
+class Remembering(Protocol):
+    """What a layer may offer besides, kinematics or avoidance: a state that outlives the process. With it the
+    controller that is started again goes on where the one before it ended; without it, from the layer's
+    beginning."""
+
+    @property
+    def memory(self) -> tuple[float, ...]:
+        """Its state as finite numbers; empty at its beginning."""
+        ...
+
+    def recall(self, memory: tuple[float, ...]) -> None:
+        """Go on from this state. Raises `ValueError` if it is none."""
+        ...
+
+
 class AvoidanceLaw(Protocol):
     """Keeps one robot away from what it senses."""
 
@@ -27,7 +42,8 @@ class AvoidanceLaw(Protocol):
 
 
 class CompensationLaw(Protocol):
-    """Makes the drive of one robot follow the desired velocity."""
+    """Makes the drive of one robot follow the desired velocity. With a method `recall` that takes what
+    `parameters` were, it keeps what it has learnt when the process is started again."""
 
     @property
     def parameters(self) -> tuple[float, ...]:

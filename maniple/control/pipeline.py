@@ -2,10 +2,12 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 
 from maniple.control.builtin import BUILTIN
 from maniple.control.kinematics import Kinematics
 from maniple.control.limits import Velocity
+from maniple.control.memory import recall, remembered
 from maniple.control.parts import AvoidanceLaw, CompensationLaw, Parts, chosen, made
 from maniple.control.returns import Returns
 from maniple.control.swerve import Swerve
@@ -36,6 +38,8 @@ class Pipeline:
         """Why the pipeline has ended; empty while it has not."""
         self.compensation: tuple[float, ...] = ()
         """What the compensation has learnt of the drive; empty without one and after a failure."""
+        self.memory: tuple[tuple[float, ...], ...] = ()
+        """The state of kinematics and avoidance; empty where neither has one."""
         self._kinematics: Kinematics | None = None
         self._avoidance: AvoidanceLaw | None = None
         self._compensation: CompensationLaw | None = None
@@ -52,6 +56,21 @@ class Pipeline:
             compensate = chosen(parts.compensation, scenario.compensation.law, "compensation.law")
             self._compensation = made("compensation", compensate, scenario.compensation, model)
             self.compensation = made("compensation", learnt, self._compensation)
+
+    def recall(self, memory: tuple[tuple[float, ...], ...], compensation: tuple[float, ...]) -> None:
+        """Go on with `memory` and `compensation` of a pipeline like this. A layer that can't begins anew, as
+        all do after a stand."""
+        kinematics, avoidance = memory if len(memory) == 2 else ((), ())
+        with suppress(Exception):
+            recall(self._kinematics, kinematics)
+        with suppress(Exception):
+            recall(self._avoidance, avoidance)
+        if compensation and self._compensation is not None:
+            with suppress(Exception):
+                recall(self._compensation, compensation)
+                self.compensation = learnt(self._compensation)
+        with suppress(Exception):
+            self.memory = self._remembered()
 
     def step(
         self,
@@ -84,11 +103,17 @@ class Pipeline:
                 layer = "compensation"
                 velocity = sound(self._compensation.step(velocity, measured, free, dt_s))
                 self.compensation = learnt(self._compensation)
+            layer = "memory"
+            self.memory = self._remembered()
         except Exception as error:  # noqa: BLE001 - a user's layer may raise anything
             self.fault = f"{layer} failed: {type(error).__name__}: {error}"
-            self.compensation = ()
+            self.compensation, self.memory = (), ()
             return _STANDING
         return velocity
+
+    def _remembered(self) -> tuple[tuple[float, ...], ...]:
+        found = remembered(self._kinematics), remembered(self._avoidance)
+        return found if any(found) else ()
 
 
 def sound(velocity: Velocity) -> Velocity:

@@ -3,6 +3,7 @@
 import math
 
 from maniple.control.limits import Velocity
+from maniple.control.memory import recall, remembered
 from maniple.control.parts import AvoidanceLaw
 from maniple.control.returns import Returns
 from maniple.core.geometry import Pose, wrap_array
@@ -22,6 +23,17 @@ class Swerve:
         self._law = law
         self._arm = control_point_m
         self._direction = 0.0
+
+    @property
+    def memory(self) -> tuple[float, ...]:
+        """See `Remembering`: the direction it goes, and what the law remembers."""
+        own = remembered(self._law)
+        return (self._direction, *own) if own or self._direction else ()
+
+    def recall(self, memory: tuple[float, ...]) -> None:
+        """See `Remembering`."""
+        self._direction, own = (memory[0], memory[1:]) if memory else (0.0, ())
+        recall(self._law, own)
 
     def step(self, wanted: Velocity, returns: Returns | None, dt_s: float) -> Velocity:
         """See `AvoidanceLaw`."""

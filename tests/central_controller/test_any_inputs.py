@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from central_controller.node import CONTROL, LEAST, CentralController
 from maniple.core import codec, topics
@@ -171,6 +172,8 @@ class Platoon:
 
     def say(self, topic: str, message: Any) -> None:
         if topic in self.node.subscriptions:
+            if isinstance(message, Odometry | Scan):
+                message = replace(message, stamp_ns=self.now)
             heard = codec.decode(topic, codec.encode(message))
             assert self.node.on_message(Received(topic, heard), self.now) == []
 
@@ -185,7 +188,10 @@ class Platoon:
             assert self.state.reference_velocity == (0.0, 0.0, 0.0)
 
     def check(self, sent: list[Outgoing]) -> FormationState:
-        *commands, (topic, state) = sent
+        *rest, (topic, state) = sent
+        commands = [said for said in rest if said.topic != topics.FORMATION_MISSION]
+        for _, mission in rest[len(commands) :]:
+            assert codec.decode(topics.FORMATION_MISSION, codec.encode(mission)) == mission
         assert topic == topics.FORMATION_STATE
         assert isinstance(state, FormationState)
         assert codec.decode(topic, codec.encode(state)) == state
@@ -194,7 +200,11 @@ class Platoon:
         assert len(unpack_floats(state.points, 2)) == len(state.chain)
         assert len(unpack_floats(state.errors, 6)) in (0, len(state.chain) - 2)
         assert (len(state.chain) < LEAST) <= (state.phase in ("holding", "done"))
-        assert bool(state.reason) == (state.phase == "holding") or state.phase in ("waiting", "done")
+        assert state.reason or state.phase != "holding"
+        assert (
+            bool(state.reason) == bool(state.waits_for or state.phase == "holding")
+            or len(state.chain) < LEAST
+        )
         told = [topic.split("/")[1] for topic, _ in commands]
         assert len(set(told)) == len(told)
         assert set(told) == (set(state.chain) if state.phase != "waiting" else set())
@@ -246,7 +256,7 @@ def test_whatever_is_heard_it_goes_on(data: st.DataObject) -> None:
     for event in data.draw(st.lists(events, max_size=60)):
         platoon.happens(event)
     platoon.say(topics.FORMATION_GOAL, Goal(id="last", hold=False))
-    for _ in range(2):
+    for _ in range(170):
         platoon.everybody(IDS)
         platoon.tick(100)
     state = platoon.state

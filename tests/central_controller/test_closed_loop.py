@@ -66,12 +66,19 @@ def run(scenario: Scenario) -> tuple[Floats, FormationState]:
         now = 10 * SECOND + k * round(DT_S * SECOND)
         for robot, (pose, u, w) in own.items():
             said = Odometry(
-                seq=k, frame_id=robot, x_m=pose.x, y_m=pose.y, psi_rad=pose.psi, u_mps=u, w_radps=w
+                seq=k,
+                stamp_ns=now,
+                frame_id=robot,
+                x_m=pose.x,
+                y_m=pose.y,
+                psi_rad=pose.psi,
+                u_mps=u,
+                w_radps=w,
             )
             node.on_message(Received(topics.odometry(robot), said), now)
-        *commands, (_, state) = node.on_timer(CONTROL, now)
-        for (_, command), robot in zip(commands, own, strict=True):
-            assert isinstance(command, Command)
+        *sent, (_, state) = node.on_timer(CONTROL, now)
+        commands = [command for _, command in sent if isinstance(command, Command)]
+        for command, robot in zip(commands, own, strict=True):
             pose, u, w = own[robot][0], *command.values
             if command.layer == "kinematics":
                 u, w = unicycle.inverse(pose.psi, A, u, w)

@@ -11,12 +11,13 @@ T0 = 100 * SECOND
 ROBOT = Robot(id="r1", pose=(1.0, 2.0, 0.0), control_point_m=0.3)
 
 
-def odometry(incarnation: int = 1, u: float = 0.0) -> Odometry:
+def odometry(incarnation: int = 1, u: float = 0.0, now: int = T0, frame: str = "r1") -> Odometry:
+    """Sent at `now`; the robot's clock has just begun then."""
     return Odometry(
         incarnation=incarnation,
         seq=7,
-        stamp_ns=5,
-        frame_id="r1",
+        stamp_ns=5 + now - T0,
+        frame_id=frame,
         x_m=0.5,
         y_m=0.0,
         psi_rad=0.0,
@@ -81,6 +82,7 @@ def test_report_before_and_after_the_first_words() -> None:
     member.heard(status, T0)
     report = member.report(T0 + 250 * MILLISECOND)
     assert (report.id, report.odometry_age_s, report.mode) == ("r1", 0.25, "tracking")
+    assert (report.incarnation, report.reason, report.round_trip_s) == (0, "", -1.0)
 
 
 def test_once_located_only_that_life_is_believed() -> None:
@@ -145,7 +147,7 @@ def platoon(n: int = 3) -> Roster:
 def hear(roster: Roster, now: int, *names: str) -> None:
     for member in roster.members:
         if member.id in names:
-            member.heard(odometry(), now)
+            member.heard(odometry(now=now), now)
 
 
 def test_a_robot_that_stays_away_is_lost_and_taken_in_again() -> None:
@@ -155,15 +157,18 @@ def test_a_robot_that_stays_away_is_lost_and_taken_in_again() -> None:
         hear(roster, now, "r0", "r1")
         assert roster.review(3 * SECOND, now) == (second == 4)
         assert [member.id for member in roster.active] == ["r0", "r1", "r2"]
-        assert roster.waited_for(now) == ("r2",)
+        assert roster.waited_for(now) == {"r2": "it is not heard"}
     now = T0 + 4 * SECOND
     hear(roster, now, "r0", "r1")
     assert roster.review(3 * SECOND, now)
     assert [member.id for member in roster.active] == ["r0", "r1"]
-    assert roster.waited_for(now) == ()
+    assert roster.waited_for(now) == {}
     assert roster.members[2].report(now).state == "lost"
-    hear(roster, now, "r2")
-    assert roster.review(3 * SECOND, now)
+    for k in range(11):
+        assert [member.id for member in roster.active] == ["r0", "r1"]
+        now += 100 * MILLISECOND
+        hear(roster, now, "r0", "r1", "r2")
+        assert roster.review(3 * SECOND, now) == (k == 10)
     assert [member.id for member in roster.active] == ["r0", "r1", "r2"]
 
 
@@ -176,7 +181,7 @@ def test_a_robot_without_control_is_lost_one_that_holds_is_waited_for(mode: Mode
         hear(roster, now, "r0", "r1", "r2")
         roster.review(3 * SECOND, now)
     assert roster.members[1].lost == lost
-    assert (roster.waited_for(now) == ("r1",)) != lost
+    assert (list(roster.waited_for(now)) == ["r1"]) != lost
 
 
 def test_when_nobody_is_heard_it_is_the_network_that_is_lost() -> None:
@@ -184,7 +189,7 @@ def test_when_nobody_is_heard_it_is_the_network_that_is_lost() -> None:
     for second in range(1, 60):
         assert not roster.review(3 * SECOND, T0 + second * SECOND)
     now = T0 + 60 * SECOND
-    assert roster.waited_for(now) == ("r0", "r1", "r2")
+    assert list(roster.waited_for(now)) == ["r0", "r1", "r2"]
     hear(roster, now, "r0")
     assert not roster.review(3 * SECOND, now)
     hear(roster, now + 3 * SECOND, "r0")
