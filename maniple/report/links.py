@@ -1,32 +1,39 @@
 """What became of the messages on links that faults apply to, counted from journals and decisions."""
 
 from array import array
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from functools import cache
 from typing import NamedTuple
 
 from maniple.core import codec, topics
 from maniple.core.errors import MessageError
-from maniple.core.messages import Call, Decisions, Journal, Refused
+from maniple.core.messages import Call, Cause, Decided, Decisions, Journal, Refused
 from maniple.core.time import Time
 
 
 class _Flow:
     """One directed link: a sender's life, a topic, a receiver."""
 
-    __slots__ = ("dropped", "due", "first", "last", "passed", "refused", "taken")
+    __slots__ = ("causes", "due", "extra_due", "first", "last", "passed", "refused", "spoilt_due", "taken")
 
     def __init__(self) -> None:
         self.first = -1
         self.last = -1
         self.taken, self.passed, self.due = array("q"), array("q"), array("q")
-        self.dropped = self.refused = 0
+        self.spoilt_due, self.extra_due = array("q"), array("q")
+        self.causes: Counter[Cause] = Counter()
+        self.refused = 0
 
     @property
     def sent(self) -> int:
         """From the first that the receiver knew of to the last."""
         return self.last - self.first + 1
+
+    @property
+    def dropped(self) -> int:
+        """Lost by fault injection."""
+        return self.causes.total()
 
     @property
     def accepted(self) -> int:
@@ -35,11 +42,32 @@ class _Flow:
 
     def missing(self, until: Time) -> int:
         """What never arrived, though nobody dropped it. What fault injection let pass is still held back if
-        it is newer than all that arrived, or due after `until`, when the receiver did its last."""
+        it is newer than all that arrived, or due after `until`, when the receiver did its last; what it
+        corrupted is refused when it is due."""
         newest = max(self.taken, default=-1)
         late = {seq for seq, due in zip(self.passed, self.due, strict=True) if seq > newest or due > until}
         held = len(late.difference(self.taken)) if late else 0
-        return max(self.sent - self.accepted - self.dropped - self.refused - held, 0)
+        held += sum(due > until for due in self.spoilt_due)
+        refused = self.refused - self.copies(until)
+        return max(self.sent - self.accepted - self.dropped - refused - held, 0)
+
+    def copies(self, until: Time) -> int:
+        """Second copies that arrived by then, and were refused: they are no messages of their own."""
+        return min(self.refused, sum(due <= until for due in self.extra_due))
+
+    def decided(self, decided: Decided, now: Time) -> None:
+        """Fault injection decided, and said so at `now`."""
+        self.saw(decided.seq)
+        if decided.dropped:
+            self.causes[decided.cause or "loss"] += 1  # recordings of before there were causes
+            return
+        if decided.corrupted:
+            self.spoilt_due.append(now + decided.delay_ns)
+        else:
+            self.passed.append(decided.seq)
+            self.due.append(now + decided.delay_ns)
+        if decided.copy_delay_ns >= 0:
+            self.extra_due.append(now + decided.copy_delay_ns)
 
     def saw(self, seq: int) -> None:
         self.first = seq if self.first < 0 else min(self.first, seq)
@@ -57,6 +85,8 @@ class LinkTotals(NamedTuple):
     lost_injected: int
     lost_other: int
     refused: int
+    causes: tuple[tuple[Cause, int], ...] = ()
+    """Of what injection lost: how much by each cause, the largest first."""
 
 
 class LinkCounts:
@@ -86,30 +116,26 @@ class LinkCounts:
         receiver = decisions.source
         for decided in decisions.decided:
             flow = self._flow(receiver, decided.source, decided.topic, decided.incarnation)
-            flow.saw(decided.seq)
-            if decided.dropped:
-                flow.dropped += 1
-            else:
-                flow.passed.append(decided.seq)
-                flow.due.append(decisions.stamp_ns + decided.delay_ns)
+            flow.decided(decided, decisions.stamp_ns)
 
     def totals(self) -> dict[str, int]:
         """`sent`, `delivered`, `lost_injected`, `lost_other` and `refused` over all links.
 
         What is still held back by an injected delay at the end is sent, and none of the others.
         """
-        sent = delivered = injected = missing = 0
+        sent = delivered = injected = missing = copies = 0
         for (receiver, *_), flow in self._flows.items():
             sent += flow.sent
             delivered += flow.accepted
             injected += flow.dropped
             missing += flow.missing(self._until[receiver])
+            copies += flow.copies(self._until[receiver])
         return {
             "sent": sent,
             "delivered": delivered,
             "lost_injected": injected,
             "lost_other": missing,
-            "refused": self._refused,
+            "refused": self._refused - copies,
         }
 
     def links(self) -> list[LinkTotals]:
@@ -126,7 +152,8 @@ class LinkCounts:
                 delivered=sum(life.accepted for life in lives),
                 lost_injected=sum(life.dropped for life in lives),
                 lost_other=sum(life.missing(self._until[receiver]) for life in lives),
-                refused=max(life.refused for life in lives),
+                refused=max(life.refused - life.copies(self._until[receiver]) for life in lives),
+                causes=tuple(sum((life.causes for life in lives), Counter[Cause]()).most_common()),
             )
             for (topic, source, receiver), lives in sorted(flows.items())
         ]
@@ -139,10 +166,10 @@ class LinkCounts:
         for refused in _refused_in(call):
             if not refused.topic or not _faults_apply(refused.topic):
                 continue
-            self._refused += 1
+            self._refused += refused.count
             for (to, sender, topic, _), flow in self._flows.items():
                 if (to, sender, topic) == (receiver, refused.sender, refused.topic):
-                    flow.refused += 1
+                    flow.refused += refused.count
 
     def _flow(self, receiver: str, source: str, topic: str, incarnation: int) -> _Flow:
         key = (receiver, source, topic, incarnation)

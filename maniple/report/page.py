@@ -208,11 +208,22 @@ def _links(series: Series) -> str:
     """Every link, as a table that is folded up."""
     if not series.links:
         return ""
-    names = ("from", "to", "topic", "sent", "delivered", "lost, injected", "lost, other", "refused")
+    names = (
+        "from",
+        "to",
+        "topic",
+        "sent",
+        "delivered",
+        "lost, injected",
+        "lost, other",
+        "refused",
+        "injected by",
+    )
     head = "".join(f'<th class="{"n" * (k > 2)}">{name}</th>' for k, name in enumerate(names))
     rows = "".join(
         "<tr>"
-        + "".join(f'<td class="{"n" * (k > 2)}">{escape(str(v))}</td>' for k, v in enumerate(link))
+        + "".join(f'<td class="{"n" * (k > 2)}">{escape(str(v))}</td>' for k, v in enumerate(link[:-1]))
+        + f"<td>{', '.join(f'{cause} {count}' for cause, count in link.causes)}</td>"
         + "</tr>"
         for link in series.links[:LINKS_SHOWN]
     )

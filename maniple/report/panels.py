@@ -246,7 +246,7 @@ def network(series: Series) -> Figure | None:
         who, _, kind = link.topic.removeprefix("robot/").partition("/")
         far = link.source if link.destination == "controller" else link.destination
         name = f"{kind} {far if far != who else who}" if few else kind
-        counts = np.array([link.sent, *link[4:]], dtype=float)
+        counts = np.array(link[3:8], dtype=float)
         rows[name] = rows.get(name, np.zeros(5)) + counts
     names = sorted(rows)
     sent = np.array([max(rows[name][0], 1.0) for name in names])

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from maniple.core import codec, topics
-from maniple.core.messages import Call, Decided, Decisions, Journal, Refused
+from maniple.core.messages import Call, Cause, Decided, Decisions, Journal, Refused
 from maniple.report.links import LinkCounts, LinkTotals
 
 ODOMETRY = topics.odometry("r1")
@@ -17,8 +17,8 @@ def accepted(seq: int, topic: str = ODOMETRY, source: str = "r1", incarnation: i
     return Call("message", 0, topic, source, incarnation, seq)
 
 
-def refused(topic: str = ODOMETRY, sender: str = "r1", reason: str = "old") -> Call:
-    data = codec.encode(Refused(source="host", topic=topic, sender=sender, reason=reason))
+def refused(topic: str = ODOMETRY, sender: str = "r1", reason: str = "old", count: int = 1) -> Call:
+    data = codec.encode(Refused(source="host", topic=topic, sender=sender, reason=reason, count=count))
     return Call("message", 0, topics.HOST_REFUSED, "host", 1, 0, 0, data)
 
 
@@ -146,6 +146,41 @@ def test_what_is_due_after_the_end_is_held_back_though_a_later_one_was_faster() 
     assert at_the_end(200) == (4, 3, 0, 1, 0)
 
 
+def test_a_second_copy_is_no_message_of_its_own() -> None:
+    """Of 0 .. 4, 1 comes twice and 3 not at all; of the copies of 4 the second is still on its way."""
+    copied = tuple(
+        Decided("r1", ODOMETRY, 1, seq, False, 0, copy_delay_ns=due) for seq, due in ((1, 5), (4, 999))
+    )
+    plan = Decisions(source="controller", decided=copied)
+    calls = (Call("message", 200, ODOMETRY, "r1", 1, seq) for seq in (0, 1, 2, 4))
+    assert totals(plan, journal(*calls, refused())) == (5, 4, 0, 1, 0)
+
+
+def test_what_was_corrupted_is_refused_and_not_lost_besides() -> None:
+    """1 and 3 are corrupted, 3 is still on its way; both copies of 2 are."""
+    spoilt = tuple(
+        Decided("r1", ODOMETRY, 1, seq, False, delay, True, copy)
+        for seq, delay, copy in ((1, 0, -1), (2, 0, 3), (3, 999, -1))
+    )
+    calls = (Call("message", 200, ODOMETRY, "r1", 1, seq) for seq in (0, 4))
+    refusals = (refused(reason="corrupted"), refused(reason="corrupted", count=2))
+    assert totals(Decisions(source="controller", decided=spoilt), journal(*calls, *refusals)) == (
+        5,
+        2,
+        0,
+        0,
+        2,
+    )
+
+
+def test_injected_losses_are_told_by_cause() -> None:
+    counts = LinkCounts()
+    causes: tuple[Cause, ...] = ("cut", "cut", "loss", "burst", "rate", "cut")
+    dropped = tuple(Decided("r1", ODOMETRY, 1, seq, True, 0, cause=cause) for seq, cause in enumerate(causes))
+    counts.decisions(Decisions(source="controller", decided=dropped))
+    assert counts.links()[0].causes == (("cut", 3), ("loss", 1), ("burst", 1), ("rate", 1))
+
+
 def test_every_link_by_itself_over_all_lives() -> None:
     counts = LinkCounts()
     counts.journal(journal(*map(accepted, (0, 1, 3)), *(accepted(seq, incarnation=2) for seq in (0, 1))))
@@ -153,6 +188,6 @@ def test_every_link_by_itself_over_all_lives() -> None:
     counts.decisions(decided(range(6), (2, 4)))
     assert counts.links() == [
         LinkTotals("controller", "r1", topics.command("r1"), 1, 1, 0, 0, 0),
-        LinkTotals("r1", "controller", ODOMETRY, 8, 5, 2, 0, 0),
+        LinkTotals("r1", "controller", ODOMETRY, 8, 5, 2, 0, 0, (("loss", 2),)),
     ]
     assert counts.spans()["controller", "r1", ODOMETRY, 1] == (0, 5)
