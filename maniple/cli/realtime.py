@@ -286,7 +286,7 @@ class Platoon:
         for name in self._upkeep.due(self._plan, self._now(), self._guests):
             self._children[name].finish(0.0)
             life, process = self._upkeep.next_life(name), self._processes[name]
-            about = f" (incarnation {life})"
+            about = f" (incarnation {life})" if "--incarnation" in process.arguments else ""
             if name == "recorder":
                 process = process.having("--log", str(self._next_log()))
                 about = f": {self.logs[-1]}"
