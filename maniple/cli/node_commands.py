@@ -8,17 +8,29 @@ import contextlib
 import os
 import sys
 import threading
+import time
 from argparse import ArgumentParser, ArgumentTypeError
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import count
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from maniple.cli.interrupt import on_interrupt
-from maniple.core.errors import ArgumentError, ScenarioError
+from maniple.core.errors import ArgumentError, RecordingError, ScenarioError
 from maniple.core.scenario.parse import parameters_of
 from maniple.core.scenario.types import Links, Scenario
+from maniple.core.time import Time
 from maniple.host.clock import Anchor
 from maniple.host.ending import end_when_asked
 from maniple.transport.zenoh import DEFAULT_PORT, ZenohSession
+
+if TYPE_CHECKING:
+    from maniple.recording.writer import RecordingWriter
+
+CUT_OFF_S = 1.5
+"""How much longer than its lease a life is waited for that may be over, wall time."""
+
+POLL_S = 0.05
 
 LOCAL = f"tcp/127.0.0.1:{DEFAULT_PORT}"
 
@@ -44,7 +56,10 @@ def main(arguments: Sequence[str]) -> None:
     """
     options = vars(_parser().parse_args(arguments))
     run: Callable[..., None] = options.pop("run")
-    run(**options)
+    try:
+        run(**options)
+    except KeyboardInterrupt:  # while it waited for others; later it is a request
+        sys.exit(130)
 
 
 def _parser() -> ArgumentParser:
@@ -68,7 +83,10 @@ def _parser() -> ArgumentParser:
 
 def _add_options(name: str, command: ArgumentParser) -> None:
     if name == "router":
-        command.add_argument("--scenario", help="for the prefix of the keys; - reads standard input")
+        command.add_argument(
+            "--scenario",
+            help="for the prefix of the keys and what is wrong with the network; - reads standard input",
+        )
         command.add_argument("--listen", default=LOCAL, help="where to listen (default: %(default)s)")
         command.add_argument("--prefix", default="maniple", help="of the keys, without a scenario")
         command.add_argument("--anchor", help="EPOCH:MONOTONIC:SPEED, a clock for those who join")
@@ -83,7 +101,14 @@ def _add_options(name: str, command: ArgumentParser) -> None:
     command.add_argument(
         "--anchor",
         help="EPOCH:MONOTONIC:SPEED, the clock of a run that others take part in; by default "
-        + ("the wall clock" if name == "recorder" else "the router tells"),
+        "the router tells",
+    )
+    command.add_argument(
+        "--wait",
+        type=_seconds,
+        default=10.0,
+        metavar="SECONDS",
+        help="how long to wait for the routers at the start (default: %(default)g)",
     )
     if name != "controller":
         command.add_argument(
@@ -94,6 +119,9 @@ def _add_options(name: str, command: ArgumentParser) -> None:
     if name == "recorder":
         command.add_argument(
             "--log", type=Path, required=True, help="recording; an existing file is not overwritten"
+        )
+        command.add_argument(
+            "--next", action="store_true", help="where it exists, go on in LOG-2.mcap, LOG-3.mcap, ..."
         )
     elif name == "finish":
         command.add_argument(
@@ -121,20 +149,16 @@ def _seconds(text: str) -> float:
     return value
 
 
-def _agent(
-    robot: str, scenario: str, connect: str, hardware: str | None, anchor: str | None, incarnation: int | None
-) -> None:
+def _agent(robot: str, scenario: str, **options: Any) -> None:
     resolved, watch = _scenario(scenario)
     known = [one.id for one in resolved.robots]
     if robot not in known:
         raise ScenarioError(f"robot {robot!r} is not in the scenario; robots are {', '.join(known)}")
-    _run_node(robot, resolved, watch, connect, hardware, anchor, incarnation)
+    _run_node(robot, resolved, watch, **options)
 
 
-def _node(
-    name: str, scenario: str, connect: str, hardware: str | None, anchor: str | None, incarnation: int | None
-) -> None:
-    _run_node(name, *_scenario(scenario), connect, hardware, anchor, incarnation)
+def _node(name: str, scenario: str, **options: Any) -> None:
+    _run_node(name, *_scenario(scenario), **options)
 
 
 def _run_node(
@@ -144,16 +168,21 @@ def _run_node(
     connect: str,
     hardware: str | None,
     anchor: str | None,
+    wait: float,
     incarnation: int | None,
 ) -> None:
     from maniple.cli.nodes import factories
+    from maniple.core.faults import dies_by
+    from maniple.host.fate import wait_out
     from maniple.host.realtime import RealtimeHost
-    from maniple.host.router import clock_of, next_incarnation
+    from maniple.host.router import claim, clock_of, plan_kept
 
     told = _clock(anchor)
-    with _networks(scenario, connect, hardware) as (fleet, wired):
+    with _networks(scenario, connect, hardware, wait) as (fleet, wired):
         clock = told or clock_of(fleet)
-        life = incarnation if incarnation is not None else next_incarnation(fleet, name)
+        if not wait_out(name, dies_by(name, scenario), lambda: plan_kept(fleet), clock):
+            return
+        life = claim(fleet, name, incarnation, scenario.network.lease_s + CUT_OFF_S)
         host = RealtimeHost(factories(scenario)[name](life), life, scenario, clock, fleet, wired)
         if watch is _nobody:
             end_when_asked(fleet, name, host.stop)
@@ -162,60 +191,106 @@ def _run_node(
             host.run()
 
 
-def _recorder(scenario: str, log: Path, connect: str, hardware: str | None, anchor: str | None) -> None:
+def _recorder(
+    scenario: str,
+    log: Path,
+    next: bool,
+    connect: str,
+    hardware: str | None,
+    anchor: str | None,
+    wait: float,
+) -> None:
     from maniple.cli.machine import describe_machine
     from maniple.core.scenario.parse import to_json
-    from maniple.host.recorder import RecorderHost
+    from maniple.host.fate import wait_out
+    from maniple.host.recorder import RECORDER, RecorderHost
+    from maniple.host.router import clock_of, plan_kept
     from maniple.recording.writer import RecordingWriter
 
     resolved, watch = _scenario(scenario)
-    clock = _clock(anchor) or Anchor.here()
-    writer = RecordingWriter(
-        log,
-        to_json(resolved),
-        describe_machine(resolved, "realtime"),
-        prefix=resolved.network.prefix,
-        now=clock.now(),
-    )
-    with writer, _networks(resolved, connect, hardware) as (fleet, wired):
-        host = RecorderHost(writer, clock, [fleet] if wired is fleet else [fleet, wired])
-        if watch is _nobody:
-            end_when_asked(fleet, "recorder", host.stop)
-        with on_interrupt(host.stop):
-            watch(host.stop)
-            host.run()
+    told = _clock(anchor)
+
+    def write(path: Path, now: Time) -> RecordingWriter:
+        about = describe_machine(resolved, "realtime")
+        return RecordingWriter(path, to_json(resolved), about, prefix=resolved.network.prefix, now=now)
+
+    if log.exists() and not next:
+        raise RecordingError(f"{log} exists already; a recording is never overwritten")
+    with _networks(resolved, connect, hardware, wait) as (fleet, wired):
+        clock = told or clock_of(fleet)
+        if not wait_out(RECORDER, (RECORDER,), lambda: plan_kept(fleet), clock):
+            return
+        with _first_free(log, next, lambda path: write(path, clock.now())) as writer:
+            sessions = [fleet] if wired is fleet else [fleet, wired]
+            host = RecorderHost(writer, clock, sessions, resolved)
+            if watch is _nobody:
+                end_when_asked(fleet, RECORDER, host.stop)
+            with on_interrupt(host.stop):
+                watch(host.stop)
+                host.run()
+
+
+def _first_free(log: Path, next: bool, write: Callable[[Path], "RecordingWriter"]) -> "RecordingWriter":
+    """A recording in `log` or, where that may be, in the `next` part of it that does not exist."""
+    for number in count(1):
+        path = log if number == 1 else log.with_name(f"{log.stem}-{number}{log.suffix}")
+        try:
+            return write(path)
+        except RecordingError:
+            if not (next and path.exists()):
+                raise
+    raise AssertionError
 
 
 def _router(scenario: str | None, listen: str, prefix: str, anchor: str | None) -> None:
+    from maniple.host.fate import say
     from maniple.host.router import RouterHost
 
     clock = _clock(anchor)
-    watch: Watch = _nobody
-    if scenario is None:
-        links = parameters_of(Links, {"prefix": prefix})
-    else:
-        resolved, watch = _scenario(scenario)
-        links = resolved.network
-    with ZenohSession.router(listen, links.prefix) as session:
-        sys.stdout.write(f"listening on {listen}\n")
-        sys.stdout.flush()
-        host = RouterHost(session, clock)
-        if watch is _nobody:
-            end_when_asked(session, "router", host.stop)
-        with on_interrupt(host.stop):
-            watch(host.stop)
-            host.run()
+    resolved, watch = (None, _nobody) if scenario is None else _scenario(scenario)
+    links = parameters_of(Links, {"prefix": prefix}) if resolved is None else resolved.network
+    hosts: list[RouterHost] = []
+    ended: list[bool] = []
+
+    def end() -> None:
+        ended.append(True)
+        for host in hosts:
+            host.stop()
+
+    away_s = 0.0
+    while not ended:
+        with ZenohSession.router(listen, links.prefix, links.lease_s) as session, on_interrupt(end):
+            hosts[:] = [host := RouterHost(session, clock, resolved)]
+            if not away_s:
+                _say(f"listening on {listen}")
+                watch(end)
+            if watch is _nobody:
+                end_when_asked(session, "router", end)
+            if (away_s := host.run()) == 0.0:
+                break
+        say(f"router is dead by the fault plan for {away_s:.1f} s more")
+        back_at = time.monotonic() + away_s
+        while not ended and time.monotonic() < back_at:
+            time.sleep(POLL_S)
+    if host.refused:
+        counts = ", ".join(f"{number} {why}" for why, number in sorted(host.refused.items()))
+        say(f"refused: {counts}")
 
 
 def _finish(
-    scenario: str, connect: str, hardware: str | None, anchor: str | None, duration: float | None
+    scenario: str,
+    connect: str,
+    hardware: str | None,
+    anchor: str | None,
+    wait: float,
+    duration: float | None,
 ) -> None:
     from maniple.cli.finish import Finisher
     from maniple.cli.nodes import time_limit_s
     from maniple.host.router import clock_of
 
     resolved, watch = _scenario(scenario)
-    with _networks(resolved, connect, hardware) as (fleet, wired):
+    with _networks(resolved, connect, hardware, wait) as (fleet, wired):
         clock = _clock(anchor) or clock_of(fleet)
         finisher = Finisher(resolved, fleet, wired, _say)
         with on_interrupt(finisher.interrupt):
@@ -231,15 +306,15 @@ def _say(line: str) -> None:
 
 @contextlib.contextmanager
 def _networks(
-    scenario: Scenario, connect: str, hardware: str | None
+    scenario: Scenario, connect: str, hardware: str | None, wait_s: float
 ) -> Iterator[tuple[ZenohSession, ZenohSession]]:
     """Sessions on the fleet network and on the hardware one, which may be the same."""
-    prefix = scenario.network.prefix
-    with ZenohSession.client(connect, prefix) as fleet:
+    prefix, lease_s = scenario.network.prefix, scenario.network.lease_s
+    with ZenohSession.client(connect, prefix, wait_s, lease_s) as fleet:
         if hardware is None or hardware == connect:
             yield fleet, fleet
         else:
-            with ZenohSession.client(hardware, prefix) as wired:
+            with ZenohSession.client(hardware, prefix, wait_s, lease_s) as wired:
                 yield fleet, wired
 
 

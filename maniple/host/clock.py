@@ -9,6 +9,7 @@ from maniple.core.time import SECOND, Duration, Time
 
 SLOWEST, FASTEST = 0.01, 1000.0
 """Speeds: scenario time over wall time."""
+_MOST = 2**62
 
 
 class Anchor(msgspec.Struct, frozen=True):
@@ -38,6 +39,22 @@ class Anchor(msgspec.Struct, frozen=True):
     def __str__(self) -> str:
         """EPOCH:MONOTONIC:SPEED, as the command line has it."""
         return f"{self.epoch_ns}:{self.monotonic_ns}:{self.speed!r}"
+
+    def told(self, monotonic_ns: Time) -> str:
+        """EPOCH:ELAPSED:SPEED, for another machine: the same run at this reading of the monotonic clock."""
+        return f"{self.epoch_ns}:{monotonic_ns - self.monotonic_ns}:{self.speed!r}"
+
+    @classmethod
+    def learnt(cls, text: str, monotonic_ns: Time) -> Self:
+        """The clock that was `told`, by this machine's monotonic clock at that moment.
+
+        Raises:
+            ValueError: nothing that a clock tells.
+        """
+        told = cls.parse(text)
+        if max(abs(told.epoch_ns), abs(told.monotonic_ns)) >= _MOST:
+            raise ValueError(f"{text}: no time is that far away")
+        return cls(told.epoch_ns, monotonic_ns - told.monotonic_ns, told.speed)
 
     def at(self, monotonic_ns: Time) -> Time:
         """Scenario time at a reading of the monotonic clock."""

@@ -1,134 +1,333 @@
 """The router: relays everything, keeps the last value of every latched topic, numbers lives, and tells who
-joins a run what time it is there."""
+joins a run what time it is there. One that starts in the middle of a run learns all this from those it finds
+(docs/decisions/0009-integrity-and-latched-values.md).
+"""
 
 import threading
 import time
+from collections import Counter
+from collections.abc import Iterable
+from math import inf
 
-from maniple.core import topics
-from maniple.core.envelope import Envelope, envelope_of
+import msgspec
+
+from maniple.core import codec, topics
+from maniple.core.envelope import Envelope
 from maniple.core.errors import MessageError, TransportError
+from maniple.core.faults import NEVER, back_at, dead, plan_of
+from maniple.core.messages import FaultPlan
+from maniple.core.scenario.types import Scenario
+from maniple.core.time import MILLISECOND, Duration
 from maniple.host.clock import Anchor
-from maniple.transport.zenoh import ZenohSession
+from maniple.host.fate import Fate, Meet, meet
+from maniple.host.latched import LatchedStore, Lives
+from maniple.host.liveness import ROUTER
+from maniple.transport.zenoh import ZenohSession, crc_of
 
-_POLL_S = 0.2
-_CLOCK = "clock"
-
-PATIENCE_S = 5.0
+PATIENCE_S = 1.5
 """How long a stopped router goes on for those who still have something to say, wall time."""
 
+GRACE_S = 1.0
+"""A router may have had a life before: so long after its start it hears of that before it numbers lives, says
+what time it is, or begins the run; wall time."""
 
-class LatchedStore:
-    """The newest message of every latched topic. Pure: it is told what arrives."""
+_POLL_S = 0.05
+_ASK_S = 5.0
+_CLOCK = "clock"
+_TOLD = "@told"
+"""What hosts tell a router that came back: nothing that `**` matches."""
+_SEEN = "@told/seen"
+_HELD = "@told/held/"
+_EXACT: Duration = 50 * MILLISECOND
+_CLOCK_TRIES = 4
 
-    def __init__(self) -> None:
-        self._newest: dict[str, Envelope] = {}
 
-    def keep(self, topic: str, data: bytes) -> None:
-        """Remember a message unless a newer one of the same topic is known; garbage is ignored."""
+class Seen(msgspec.Struct, frozen=True):
+    """What a host tells a router that came back."""
+
+    clock: str
+    """EPOCH:ELAPSED:SPEED, as `Anchor.told` says it."""
+    lives: dict[str, int]
+    """The highest incarnation of every node it has seen."""
+
+
+class Service:
+    """What a router session does beside relaying. Its callbacks run on threads of Zenoh's.
+
+    `clock` is None where the run's is not known: it is that of those it finds, or begins here.
+    """
+
+    def __init__(
+        self,
+        session: ZenohSession,
+        clock: Anchor | None = None,
+        scenario: Scenario | None = None,
+        grace_s: float = GRACE_S,
+    ) -> None:
+        self.clock = clock or Anchor.here()
+        self.refused: Counter[str] = Counter()
+        self._own_clock = clock is None
+        self._session = session
+        self._scenario = scenario
+        self._lives = Lives()
+        self._store = LatchedStore(self._lives)
+        self._alive: set[tuple[str, int]] = set()
+        self._shown: set[str] = set()
+        self._begun = scenario is None or plan_of(scenario, NEVER) == FaultPlan(since_ns=NEVER)
+        self._lock = threading.Lock()
+        self._changed = threading.Event()
+        self._settled_at = time.monotonic() + grace_s
+        self._unfit = lambda _, why: self._refuse(why)
+
+    def start(self) -> None:
+        """Subscribe, answer, and show that a router is here."""
+        for row in topics.TOPICS:
+            if row.latched:
+                expression = row.pattern.replace("{id}", "*")
+                self._session.subscribe(expression, self._keep, self._unfit)
+                self._session.serve(expression, self._store.answer)
+        self._session.subscribe(f"{_TOLD}/**", self._told, self._unfit)
+        self._session.watch(self._life)
+        self._session.serve("incarnation/*", self._number)
+        self._session.serve("claim/*", self._claim)
+        self._session.serve("claim/*/*", self._claim)
+        self._session.serve(_CLOCK, self._tell_clock)
+        self._session.announce(ROUTER, 1)
+
+    def plan(self) -> FaultPlan:
+        """The fault plan that holds; nothing timed before the run has begun."""
+        plan = self._store.message(topics.PLAN)
+        return plan if isinstance(plan, FaultPlan) else FaultPlan(since_ns=NEVER)
+
+    def begin(self) -> None:
+        """Publish the scenario's plan once every robot and the controller were seen, if it has one and none
+        is known; the run begins with that."""
+        if self._begun or self._scenario is None or not self.settled:
+            return
+        with self._lock:
+            if self._store.newest(topics.PLAN) is not None:
+                self._begun = True
+                return
+            wanted = {"controller", *(robot.id for robot in self._scenario.robots)}
+            if not wanted <= self._shown:
+                return
+            now = self.clock.now()
+            plan = msgspec.structs.replace(
+                plan_of(self._scenario, now), source=ROUTER, incarnation=1, stamp_ns=now
+            )
+            self._begun = self._store.keep(topics.PLAN, data := codec.encode(plan)) == "news"
+        self._session.put(topics.PLAN, data)
+
+    @property
+    def settled(self) -> bool:
+        """Whether what was before this router's life has had the time to be told."""
+        return time.monotonic() >= self._settled_at
+
+    def await_leaving(self, until: float) -> None:
+        """Wait until nobody else is here, or for a monotonic time, s."""
+        while self._alive and (left := until - time.monotonic()) > 0:
+            self._changed.wait(left)
+            self._changed.clear()
+
+    def _keep(self, topic: str, data: bytes) -> None:
+        with self._lock:
+            kept = self._store.keep(topic, data)
+        if kept in ("sender", "malformed"):
+            self._refuse(kept)
+
+    def _told(self, name: str, data: bytes) -> None:
+        """A host tells what was before: first who has lived, then what it holds."""
+        if name == _SEEN:
+            self._learn(data)
+        else:
+            self._restore(name.removeprefix(_HELD), data)
+
+    def _learn(self, data: bytes) -> None:
+        """Take over who has lived, and the clock of a run that is older than this router."""
         try:
-            envelope = envelope_of(topic, data)
-        except MessageError:
+            seen = msgspec.json.decode(data, type=Seen)
+            clock = Anchor.learnt(seen.clock, time.monotonic_ns())
+        except (msgspec.MsgspecError, UnicodeDecodeError, ValueError):
+            self._refuse("malformed")
             return
-        sender = topics.sender_of(topic)
-        if sender and envelope.source != sender:
+        older = clock.monotonic_ns < self.clock.monotonic_ns
+        if self._own_clock and older and not self.settled:
+            self.clock = clock
+        for node, incarnation in seen.lives.items():
+            self._seen(node, incarnation)
+
+    def _restore(self, topic: str, data: bytes) -> None:
+        """Keep what a host holds; what is said but once may be news to those that came since, too."""
+        with self._lock:
+            kept = self._store.keep(topic, data)
+        if kept in ("sender", "malformed"):
+            self._refuse(kept)
+        elif kept == "news" and not topics.topic(topic).rate_hz:
+            self._session.put(topic, data)
+
+    def _life(self, node: str, incarnation: int, alive: bool) -> None:
+        if node == ROUTER:
             return
-        known = self._newest.get(topic)
-        if known is None or (known.incarnation, known.seq) < (envelope.incarnation, envelope.seq):
-            self._newest[topic] = envelope
+        (self._alive.add if alive else self._alive.discard)((node, incarnation))
+        self._shown.add(node)
+        self._changed.set()
+        self._seen(node, incarnation)
 
-    def answer(self, topic: str) -> dict[str, bytes]:
-        """What is known of a topic: its bytes by its name, or nothing."""
-        known = self._newest.get(topic)
-        return {} if known is None else {topic: known.data}
+    def _seen(self, node: str, incarnation: int) -> None:
+        with self._lock:
+            self._lives.seen(node, incarnation)
+            self._store.announced()
 
+    def _refuse(self, why: str) -> None:
+        with self._lock:
+            self.refused[why] += 1
 
-class Lives:
-    """The highest incarnation of every node that was ever seen."""
-
-    def __init__(self) -> None:
-        self._highest: dict[str, int] = {}
-
-    def seen(self, node: str, incarnation: int) -> None:
-        """A life of a node is there, or was."""
-        self._highest[node] = max(incarnation, self._highest.get(node, 0))
-
-    def answer(self, name: str) -> dict[str, bytes]:
+    def _number(self, name: str) -> dict[str, bytes]:
         """The number of the next life of a node, asked for as "incarnation/NODE"."""
-        node = name.removeprefix("incarnation/")
-        return {name: str(self._highest.get(node, 0) + 1).encode()}
+        self._settle()
+        return {name: str(self._lives.next(name.split("/")[1])).encode()}
+
+    def _claim(self, name: str) -> dict[str, bytes]:
+        """The number of a new life, claimed as "claim/NODE", or as "claim/NODE/NUMBER" by one that has it."""
+        _, node, *wanted = name.split("/")
+        if wanted and not (wanted[0].isascii() and wanted[0].isdecimal() and len(wanted[0]) < 19):
+            self._refuse("malformed")
+            return {}
+        if not wanted:
+            self._settle()
+        with self._lock:
+            life = self._lives.claim(node, int(wanted[0]) if wanted else None)
+        return {name: str(life).encode()}
+
+    def _tell_clock(self, name: str) -> dict[str, bytes]:
+        if self._own_clock:
+            self._settle()
+        return {name: self.clock.told(time.monotonic_ns()).encode()}
+
+    def _settle(self) -> None:
+        """Wait until what was before this router's life has been told; on a thread of the question's own."""
+        time.sleep(max(self._settled_at - time.monotonic(), 0.0))
 
 
-def serve(session: ZenohSession, clock: Anchor | None = None) -> None:
-    """Make a router session keep and serve latched values and incarnations, and the clock of a run."""
-    store = LatchedStore()
-    lives = Lives()
-    for row in topics.TOPICS:
-        if row.latched:
-            expression = row.pattern.replace("{id}", "*")
-            session.subscribe(expression, store.keep)
-            session.serve(expression, store.answer)
-    session.watch(lambda node, incarnation, _: lives.seen(node, incarnation))
-    session.serve("incarnation/*", lives.answer)
-    if clock is not None:
-        session.serve(_CLOCK, lambda name: {name: f"{clock.now()}:{clock.speed!r}".encode()})
-    session.announce("router", 1)
+def serve(session: ZenohSession, clock: Anchor | None = None, grace_s: float = 0.0) -> Service:
+    """Make a router session keep and serve latched values and incarnations, and the clock of a run; it has
+    had no life before, unless given a grace."""
+    service = Service(session, clock, grace_s=grace_s)
+    service.start()
+    return service
 
 
-def next_incarnation(session: ZenohSession, node: str, patience_s: float = 3.0) -> int:
-    """Which life of a node starts now, as the router counts them; 1 where nobody counts.
+def restore(session: ZenohSession, clock: Anchor, held: Iterable[Envelope], lives: Lives) -> None:
+    """Tell a router that came back what it knew, as far as it is known here."""
+    held = tuple(held)
+    for envelope in held:
+        if topics.sender_of(envelope.topic):
+            lives.seen(envelope.source, envelope.incarnation)
+    seen = msgspec.json.encode(Seen(clock.told(time.monotonic_ns()), dict(lives.all())))
+    session.put_raw(_SEEN, seen, crc_of(seen))
+    for envelope in held:
+        session.put_raw(f"{_HELD}{envelope.topic}", envelope.data, crc_of(envelope.data))
+
+
+def claim(session: ZenohSession, node: str, wanted: int | None = None, patience_s: float = 3.5) -> int:
+    """Which life of a node starts now, as the router counts them, or this one if it is `wanted` and was not
+    there before; where nobody counts, the wanted one or 1.
 
     One that was cut off is given `patience_s` to be missed: its lease ends within that.
 
     Raises:
-        TransportError: the node lives; two of one name would take turns.
+        TransportError: the node lives, or the wanted life was there already.
     """
     until = time.monotonic() + patience_s
     while lives := session.lives(node):
         if time.monotonic() >= until:
             raise TransportError(f"{node} is running already (incarnation {lives[-1]}): stop that one first")
         time.sleep(_POLL_S)
-    answers = session.ask(f"incarnation/{node}")
-    return int(next(iter(answers.values()), b"1"))
+    name = f"claim/{node}" if wanted is None else f"claim/{node}/{wanted}"
+    life = int(session.ask(name, _ASK_S).get(name, str(wanted or 1).encode()))
+    if wanted not in (None, life):
+        raise TransportError(f"incarnation {wanted} of {node} was there already: the next is {life}")
+    return life
+
+
+def plan_kept(session: ZenohSession) -> FaultPlan:
+    """The fault plan that a router keeps; where it keeps none, one in which nothing happens."""
+    nothing = FaultPlan(since_ns=NEVER)
+    try:
+        plan = codec.decode(topics.PLAN, session.ask(topics.PLAN)[topics.PLAN])
+    except (KeyError, MessageError):
+        return nothing
+    return plan if isinstance(plan, FaultPlan) else nothing
 
 
 def clock_of(session: ZenohSession) -> Anchor:
-    """The clock of the run that a router belongs to, as exact as its answer is fast; without one, the wall
-    clock."""
-    asked = time.monotonic_ns()
-    answers = session.ask(_CLOCK)
-    if not answers:
-        return Anchor.here()
-    now, speed = answers[_CLOCK].decode().split(":")
-    return Anchor.parse(f"{now}:{(asked + time.monotonic_ns()) // 2}:{speed}")
+    """The clock of the run that a router belongs to, as exact as its answer is fast; where none tells it, the
+    wall clock."""
+    best: tuple[Duration, Anchor] | None = None
+    for _ in range(_CLOCK_TRIES):
+        asked = time.monotonic_ns()
+        answer = session.ask(_CLOCK, _ASK_S).get(_CLOCK)
+        took = time.monotonic_ns() - asked
+        if answer is None:
+            break
+        try:
+            clock = Anchor.learnt(answer.decode(), asked + took // 2)
+        except ValueError:
+            raise TransportError(
+                f"what tells the time there is no router of maniple: {answer[:40]!r}"
+            ) from None
+        if best is None or took < best[0]:
+            best = took, clock
+        if took < _EXACT:
+            break
+    return Anchor.here() if best is None else best[1]
 
 
 class RouterHost:
     """Runs a router until it is stopped and everybody else has left, or has had the time to."""
 
-    def __init__(self, session: ZenohSession, clock: Anchor | None = None) -> None:
-        self._session = session
-        self._clock = clock
-        self._alive: set[tuple[str, int]] = set()
-        self._changed = threading.Event()
-        self._stopping = threading.Event()
+    def __init__(
+        self,
+        session: ZenohSession,
+        clock: Anchor | None = None,
+        scenario: Scenario | None = None,
+        grace_s: float = GRACE_S,
+        meet: Meet = meet,
+    ) -> None:
+        self._service = Service(session, clock, scenario, grace_s)
+        self._meet = meet
+        self._stopping = False
+
+    @property
+    def refused(self) -> Counter[str]:
+        """What was not kept, by reason."""
+        return self._service.refused
 
     def stop(self) -> None:
         """Make `run` end; safe from a signal handler and from any thread."""
-        self._stopping.set()
+        self._stopping = True
 
-    def run(self, patience_s: float = PATIENCE_S) -> None:
-        """Serve until `stop`, then until all others are gone, `patience_s` at most."""
-        serve(self._session, self._clock)
-        self._session.watch(self._life)
-        while not self._stopping.wait(1.0):
-            pass
-        until = time.monotonic() + patience_s
-        while self._alive and (left := until - time.monotonic()) > 0:
-            self._changed.wait(left)
-            self._changed.clear()
+    def run(self, patience_s: float = PATIENCE_S) -> float:
+        """Serve until `stop`, then until all others are gone, `patience_s` at most.
 
-    def _life(self, node: str, incarnation: int, alive: bool) -> None:
-        if node == "router":
-            return
-        (self._alive.add if alive else self._alive.discard)((node, incarnation))
-        self._changed.set()
+        Returns how long it is to be away before it serves again, s of wall time: it has begun while the plan
+        has it dead, which it could not know; infinite: for good; 0: it was stopped.
+        """
+        service, began_ns = self._service, time.monotonic_ns()
+        service.start()
+        fate: Fate | None = None
+        while not self._stopping:
+            time.sleep(_POLL_S)
+            if not service.settled:
+                continue
+            service.begin()
+            clock, plan = service.clock, service.plan()
+            fate = fate or Fate(ROUTER, (ROUTER,), clock.at(began_ns))
+            if event := fate.due(plan, clock.now()):
+                self._meet(event, clock)
+            elif crash := dead(plan, (ROUTER,), clock.now()):
+                return (
+                    clock.wall_seconds(back_at(plan, crash) - clock.now()) if crash.restart_after_s else inf
+                )
+        service.await_leaving(time.monotonic() + patience_s)
+        return 0.0

@@ -6,7 +6,8 @@ import pytest
 from maniple.core import codec
 from maniple.core.errors import TransportError
 from maniple.host.clock import Anchor
-from maniple.host.router import LatchedStore, Lives, RouterHost, clock_of, next_incarnation, serve
+from maniple.host.latched import LatchedStore, Lives
+from maniple.host.router import RouterHost, claim, clock_of, serve
 from maniple.transport.zenoh import ZenohSession
 from tests.host.nodes import odometry
 from tests.transport.test_zenoh import DEADLINE_S, free_port
@@ -36,10 +37,13 @@ def test_a_newer_life_replaces_an_older_one() -> None:
 
 def test_lives_are_numbered_from_one_and_never_twice() -> None:
     lives = Lives()
-    assert lives.answer("incarnation/r1") == {"incarnation/r1": b"1"}
+    assert lives.next("r1") == 1
     lives.seen("r1", 4)
     lives.seen("r1", 2)
-    assert lives.answer("incarnation/r1") == {"incarnation/r1": b"5"}
+    assert lives.next("r1") == 5
+    assert [lives.claim("r1"), lives.claim("r1"), lives.claim("r1", 9), lives.claim("r1")] == [5, 6, 9, 10]
+    assert lives.claim("r1", 10) == 11  # it was there already
+    assert lives.claim("r1", 11) == 11
 
 
 def test_a_late_joiner_gets_what_is_latched_from_a_real_router() -> None:
@@ -49,7 +53,7 @@ def test_a_late_joiner_gets_what_is_latched_from_a_real_router() -> None:
         host.stop()
         host.run(patience_s=0.0)
         with ZenohSession.client(endpoint, "test") as early:
-            assert next_incarnation(early, "r1") == 1
+            assert claim(early, "r1") == 1
             assert early.lives("r1") == ()
             early.announce("r1", 1)
             early.put(TOPIC, message(5))
@@ -59,10 +63,10 @@ def test_a_late_joiner_gets_what_is_latched_from_a_real_router() -> None:
                 ZenohSession.client(endpoint, "test") as second,
                 pytest.raises(TransportError, match=r"r1 is running already \(incarnation 1\)"),
             ):
-                next_incarnation(second, "r1", patience_s=0.0)
+                claim(second, "r1", patience_s=0.0)
         with ZenohSession.client(endpoint, "test") as late:
             assert late.ask(TOPIC, DEADLINE_S) == {TOPIC: message(5)}
-            assert next_incarnation(late, "r1") == 2
+            assert claim(late, "r1") == 2
 
 
 @pytest.mark.parametrize("speed", [3.0, None])
