@@ -138,7 +138,7 @@ def _links(state: PlatoonState) -> Iterator[RenderableType]:
     if not found:
         return
     if not bad:
-        yield Text(f"{len(found)} links, nothing missing", style="dim")
+        yield Text(f"{len(found)} link{'s' * (len(found) > 1)}, nothing missing", style="dim")
         return
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     for title in ("link", "received", "missing", "injected", "refused"):
@@ -152,8 +152,8 @@ def _links(state: PlatoonState) -> Iterator[RenderableType]:
             f"{pair.refused}" if pair.refused else "",
         )
     yield table
-    if len(bad) < len(found):
-        yield Text(f"{len(found) - len(bad)} other links, nothing missing", style="dim")
+    if good := len(found) - len(bad):
+        yield Text(f"{good} other link{'s' * (good > 1)}, nothing missing", style="dim")
 
 
 def _share(count: int, pair: Pair) -> float:
