@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from central_controller.reference import Course
+from maniple.cli import fault_text
 from maniple.control.limits import age_limits
 from maniple.control.pipeline import central_layers, onboard_layers
 from maniple.core import topics
@@ -91,6 +92,9 @@ class LinkPlan(msgspec.Struct, frozen=True):
     latency_s: float
     jitter_s: float
     loss: float
+    """These are what is always on."""
+    also: tuple[str, ...] = ()
+    """What else is, in words: bursts, copies, windows, ..."""
 
 
 class Plan(msgspec.Struct, frozen=True):
@@ -110,7 +114,8 @@ class Plan(msgspec.Struct, frozen=True):
     laws: tuple[str, ...]
     """Each layer that has gains, with these."""
     notes: tuple[str, ...]
-    """What else is not as by default: planning, waiting, deaths, where the controller runs."""
+    """What else is not as by default: planning, waiting, deaths, partitions, clocks, where the controller
+    runs."""
     obstacles: int
     robots: tuple[RobotPlan, ...]
     triangles: tuple[TrianglePlan, ...]
@@ -249,6 +254,13 @@ def _notes(scenario: Scenario) -> Iterator[str]:
     for crash in scenario.crashes:
         back = "" if crash.restart_after_s is None else f", and is back {crash.restart_after_s:g} s later"
         yield f"{crash.node} dies at {crash.at_s:g} s{back}"
+    for freeze in scenario.freezes:
+        yield f"{freeze.node} is frozen from {freeze.at_s:g} s for {freeze.for_s:g} s"
+    for partition in scenario.partitions:
+        lasts = "to the end" if partition.for_s is None else f"for {partition.for_s:g} s"
+        yield f"from {partition.at_s:g} s {lasts} apart: {fault_text.groups(partition)}"
+    for clock in scenario.clocks:
+        yield f"the clock of {clock.node} is {clock.offset_s:+g} s off and {clock.skew_ppm:+g} ppm fast"
 
 
 def _laws(scenario: Scenario) -> Iterator[str]:
@@ -294,15 +306,28 @@ def _robot_plan(scenario: Scenario, index: int) -> RobotPlan:
 def _link_plan(faults: Sequence[Fault], source: str, destination: str, topic: str) -> Iterator[LinkPlan]:
     """The rules that match a link, as one: delays add up, losses are independent; nothing without rules."""
     rules = [rule for rule in faults if matches(rule, source, destination, topic)]
+    always = [rule for rule in rules if not rule.windows]
     if rules:
         yield LinkPlan(
             source=source,
             destination=destination,
             topic=topic,
-            latency_s=math.fsum(rule.latency_s for rule in rules),
-            jitter_s=math.fsum(rule.jitter_s for rule in rules),
-            loss=1.0 - math.prod(1.0 - rule.loss for rule in rules),
+            latency_s=math.fsum(rule.latency_s for rule in always),
+            jitter_s=math.fsum(rule.jitter_s for rule in always),
+            loss=1.0 - math.prod(1.0 - rule.loss for rule in always),
+            also=tuple(text for rule in rules for text in _also(rule)),
         )
+
+
+def _also(rule: Fault) -> Iterator[str]:
+    """What a rule does besides being late and losing some, or does at times."""
+    if rule.windows:
+        when = ", ".join(f"{begin:g} to {end:g} s" for begin, end in rule.windows)
+        yield f"from {when}: {fault_text.summary(rule)}"
+        return
+    rest = msgspec.structs.replace(rule, preset="", latency_s=0.0, jitter_s=0.0, loss=0.0)
+    if rest.burst or rest.duplicate or rest.reorder or rest.corrupt or rest.rate_kbps:
+        yield fault_text.summary(rest)
 
 
 def _table(left: Sequence[str], right: Sequence[str]) -> Table:
@@ -360,15 +385,17 @@ def _triangles_table(triangles: Sequence[TrianglePlan]) -> Table:
 
 def _links_table(links: Sequence[LinkPlan]) -> Table:
     """Links that suffer the same in one row."""
-    alike: dict[tuple[bool, str, float, float, float], list[str]] = {}
+    alike: dict[tuple[bool, str, float, float, float, tuple[str, ...]], list[str]] = {}
     for link in links:
         down = link.source == "controller"
         what = link.topic.rpartition("/")[2]
         robot = link.destination if down else link.source
-        alike.setdefault((down, what, link.latency_s, link.jitter_s, link.loss), []).append(robot)
+        suffers = (down, what, link.latency_s, link.jitter_s, link.loss, link.also)
+        alike.setdefault(suffers, []).append(robot)
     table = _table(("faults on", "robots"), ("latency (ms)", "jitter (ms)", "loss (%)"))
-    for (down, what, latency_s, jitter_s, loss), robots in alike.items():
+    table.add_column("" if not any(link.also for link in links) else "also", overflow="fold")
+    for (down, what, latency_s, jitter_s, loss, also), robots in alike.items():
         way = f"{what} to" if down else f"{what} from"
         numbers = (f"{1000 * latency_s:.0f}", f"{1000 * jitter_s:.0f}", f"{100 * loss:.1f}")
-        table.add_row(way, " ".join(robots), *numbers)
+        table.add_row(way, " ".join(robots), *numbers, "; ".join(also))
     return table

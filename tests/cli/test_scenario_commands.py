@@ -72,6 +72,7 @@ def test_check_says_what_the_network_does_to_each_link() -> None:
         "latency_s": 0.1,
         "jitter_s": 0.0,
         "loss": 0.5,
+        "also": [],
     }
     assert ("r1", "robot/r1/ranges") in links, "the avoidance runs in the centre"
     onboard = checked("--set", "faults=[{}]", "--set", "placement.robot_from=kinematics")
@@ -79,6 +80,30 @@ def test_check_says_what_the_network_does_to_each_link() -> None:
     hosted = checked("--set", "faults=[{}]", "--set", "controller.host=r1")
     assert {one["source"] for one in hosted["links"]} == {"controller", "r2", "r3", "r4", "r5", "r6"}
     assert not any("r1" in one["topic"] for one in hosted["links"]), "one computer has no network in itself"
+
+
+def test_check_says_what_else_is_wrong_and_when() -> None:
+    plan = checked(
+        "--set",
+        "faults=[{preset='lte', loss=0.1}, {loss=1.0, source='r2', windows=[[3, 5], [8, 9]]}]",
+        "--set",
+        "partitions=[{groups=[['r1', 'r2']], at_s=3, for_s=2}]",
+        "--set",
+        "freezes=[{node='r3', at_s=3, for_s=2}]",
+        "--set",
+        "clocks=[{node='r3', offset_s=-3, skew_ppm=50}]",
+    )
+    links = {one["topic"]: one for one in plan["links"]}
+    assert links["robot/r2/odometry"]["loss"] == pytest.approx(0.1), "windows are no steady state"
+    assert links["robot/r2/odometry"]["also"] == [
+        "bursts (enter 0.05 %, leave 10 %; 100 % lost, else 0 %), 6000 kbit/s, queue of 1 s",
+        "from 3 to 5 s, 8 to 9 s: 100 % lost",
+    ]
+    assert plan["notes"][-3:] == [
+        "r3 is frozen from 3 s for 2 s",
+        "from 3 s for 2 s apart: r1,r2 | all others",
+        "the clock of r3 is -3 s off and +50 ppm fast",
+    ]
 
 
 def test_check_for_people() -> None:
