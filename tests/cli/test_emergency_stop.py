@@ -114,9 +114,12 @@ def test_it_needs_neither_a_controller_nor_a_network_that_carries_anything_else(
             ordered(session, ARM)
             publish(session, topics.PLAN, FaultPlan(since_ns=0), PATIENCE_S)
             eventually(lambda: {mode for _, mode in modes(session, listener).values()} == {"tracking"})
+            os.kill(run.process.pid, signal.SIGSTOP)  # or it would end the run
             os.kill(run.children()["controller"], signal.SIGKILL)
+            eventually(lambda: "controller" not in session.everyone())
             ordered(session, STOP)
             shown = look(session, listener)
+            assert ("controller" in shown.nodes, shown.controlled, shown.ok) == (False, False, False)
             assert {robot.mode for robot in shown.robots} == {"emergency"}
-        run.process.send_signal(signal.SIGINT)
-        run.process.wait(PATIENCE_S)
+        os.kill(run.process.pid, signal.SIGCONT)
+        assert run.finish()[0] == 1
