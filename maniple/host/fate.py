@@ -11,6 +11,7 @@ from typing import NamedTuple, NoReturn, TypeAlias
 
 from maniple.core.faults import back_at, crash_between, dead, freeze_between
 from maniple.core.messages import FaultPlan
+from maniple.core.scenario.types import Crash
 from maniple.core.time import Duration, Time, from_seconds
 from maniple.host.clock import Anchor
 
@@ -23,6 +24,9 @@ _STOPPED_WITHIN_S = 0.01
 
 class Death(NamedTuple):
     """This process is to die now."""
+
+    crash: Crash
+    """Of it."""
 
 
 class Pause(NamedTuple):
@@ -50,8 +54,8 @@ class Fate:
 
     def due(self, plan: FaultPlan, now: Time) -> Death | Pause | None:
         """What is to happen now; each thing once."""
-        if crash_between(plan, self._killers, self._began, now) is not None:
-            return Death()
+        if crash := crash_between(plan, self._killers, self._began, now):
+            return Death(crash)
         while freeze := freeze_between(plan, (self._node,), self._after, now):
             self._after = plan.since_ns + from_seconds(freeze.at_s)
             if (left := self._after + from_seconds(freeze.for_s) - now) > 0:
