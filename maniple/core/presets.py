@@ -1,8 +1,8 @@
 """Measured networks: what a rule of faults does when it names one. docs/faults.md has the sources, and what
 is estimated.
 
-All delays are one way: half of the round trips that were measured. Where the tail of a distribution is known,
-the share of the messages beyond the 90th percentile is held back (`reorder`).
+All delays are one way: half of the round trips that were measured. Where the 90th percentile of these is
+known, as many messages are held back (`reorder`) as give that.
 """
 
 from collections.abc import Mapping
@@ -15,13 +15,13 @@ from maniple.core.scenario.types import Burst, Fault
 
 PRESETS: Mapping[str, Fault] = MappingProxyType(
     {
-        "wifi-good": Fault(latency_s=0.0015, jitter_s=0.001, loss=0.001, reorder=0.1, reorder_s=0.01),
+        "wifi-good": Fault(latency_s=0.0015, jitter_s=0.001, loss=0.001, reorder=0.055, reorder_s=0.018),
         "wifi-crowded": Fault(
             latency_s=0.010,
             jitter_s=0.008,
             burst=Burst(enter=0.005, leave=0.3),
-            reorder=0.1,
-            reorder_s=0.05,
+            reorder=0.055,
+            reorder_s=0.1,
         ),
         "lte": Fault(
             latency_s=0.035,
