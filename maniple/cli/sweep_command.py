@@ -35,9 +35,9 @@ def sweep(
     console = Console(stderr=True)
     if check:
         plan = plan_of(file)
-        count = f"{len(plan.jobs)} runs, {len(plan.axes)} axes"
+        said = {"sweep": plan.sweep.name, "runs": len(plan.jobs)}
         typer.echo(
-            msgspec.json.encode({"sweep": plan.sweep.name, "runs": len(plan.jobs)}) if as_json else count
+            msgspec.json.encode(said) if as_json else f"{plan.sweep.name}: {len(plan.jobs)} runs, all valid"
         )
         return
     outcome = study.sweep(file, jobs, out, fresh, keep_logs, console)

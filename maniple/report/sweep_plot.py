@@ -23,7 +23,7 @@ Runs: TypeAlias = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 MARKERS = "osD^vP"
 
-EDGE: dict[str, Any] = {"color": style.INK, "ls": (0, (4, 2)), "lw": 0.8}
+EDGE: dict[str, Any] = {"ls": (0, (4, 2)), "lw": 0.8}
 """How the predicted edge looks."""
 
 
@@ -58,10 +58,11 @@ def draw(plot: Plot, table: Table) -> Figure:
     edges = False
     for panel, axes in zip(panels, grid.flat, strict=False):
         chosen = where(table, {plot.facets: panel})
+        alike = len(edge_of(table, plot, chosen)) == 1
         for index, line in enumerate(lines):
             runs = chosen & where(table, {plot.series: line})
             _draw_curve(axes, curve(table, plot, runs), index)
-        edges |= _draw_edge(axes, plot, table, chosen)
+            edges |= _draw_edge(axes, plot, table, runs, style.INK if alike else style.look(index)["color"])
         if plot.facets:
             axes.set_title(shown(panel))
     _label(plot, grid, len(panels))
@@ -122,11 +123,12 @@ def _draw_curve(axes: Axes, found: Curve, index: int) -> None:
     axes.plot(found.x, found.middle, marker=MARKERS[index % len(MARKERS)], ms=2.2, **look)
 
 
-def _draw_edge(axes: Axes, plot: Plot, table: Table, runs: Runs) -> bool:
-    largest = max(table[plot.x])
-    places = [place for place in edge_of(table, plot, runs) if 0.0 <= place <= 1.02 * largest]
+def _draw_edge(axes: Axes, plot: Plot, table: Table, runs: Runs, colour: str) -> bool:
+    """Draw the predicted edges of these runs that are on the x axis; says whether there are any."""
+    xs = table[plot.x]
+    places = [place for place in edge_of(table, plot, runs) if min(xs) <= place <= max(xs)]
     for place in places:
-        axes.axvline(place, **EDGE)
+        axes.axvline(place, **EDGE, color=colour)
     return bool(places)
 
 
@@ -145,13 +147,19 @@ def _label(plot: Plot, grid: Any, panels: int) -> None:
 
 def _scale(plot: Plot, axes: Axes, table: Table) -> None:
     """The axes that all panels share."""
+    xs = table[plot.x]
+    low, high = min(xs), max(xs)
+    if plot.log_x:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.set_xlim(low / 1.25, high * 1.25)
+    else:
+        margin = 0.04 * (high - low) or 0.5
+        axes.set_xlim(low - margin, high + margin)
     if plot.log and any(cell is not None and cell > 0 for cell in table[plot.y]):
         axes.set_yscale("log")
     elif any(isinstance(cell, bool) for cell in table[plot.y]):
         axes.set_ylim(-0.05, 1.05)
-    if plot.log_x and max(table[plot.x]) > 0:
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def _rows(plot: Plot, lines: Sequence[Any], edges: bool) -> Iterator[Artist]:
@@ -160,4 +168,4 @@ def _rows(plot: Plot, lines: Sequence[Any], edges: bool) -> Iterator[Artist]:
             label = f"{plot.series_label or plot.series} {shown(line)}"
             yield style.row(label, marker=MARKERS[index % len(MARKERS)], ms=2.2, **style.look(index))
     if edges:
-        yield style.row("predicted edge", **EDGE)
+        yield style.row("predicted edge", color=style.INK, **EDGE)

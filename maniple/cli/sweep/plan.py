@@ -19,6 +19,9 @@ from maniple.core.scenario.types import Guard, Scenario
 from maniple.core.version import __version__
 from maniple.report.sweep_types import Plot
 
+OWN_COLUMNS = {"seed", "tolerated_delay_s", "error", "overrides"}
+"""Of the results, beside axes and figures."""
+
 
 class Job(NamedTuple):
     """One run of a sweep."""
@@ -55,6 +58,7 @@ def plan_of(path: Path) -> Plan:
     """
     sweep = read_sweep(path)
     axes, seeds = axes_of(sweep.grid), seeds_of(sweep)
+    _require_columns(path, axes)
     base = path.parent / sweep.scenario
     count = len(seeds)
     for axis in axes:
@@ -129,6 +133,22 @@ def _where(axes: Sequence[Axis], values: Sequence[Any]) -> str:
     return ", ".join(f"{axis.name} = {shown(value)}" for axis, value in zip(axes, values, strict=True))
 
 
+def _require_columns(path: Path, axes: Sequence[Axis]) -> None:
+    """Refuse an axis that is called as a figure of the results is, but for a number of robots.
+
+    Raises:
+        ScenarioError: names the axis.
+    """
+    taken = {column.name for column in columns()} | OWN_COLUMNS
+    for axis in axes:
+        counts = axis.name == "robots" and all(isinstance(level.value, int) for level in axis.levels)
+        if axis.name in taken and not counts:
+            raise ScenarioError(
+                f"{path}: grid.{axis.name}: is the name of a column of the results; must have another, as in "
+                f"NAME = {{ keys = [{axis.name!r}], values = [...] }}"
+            )
+
+
 def _require_drawable(where: str, plot: Plot, axes: Sequence[Axis]) -> None:
     """Refuse a plot of what is not there.
 
@@ -141,6 +161,9 @@ def _require_drawable(where: str, plot: Plot, axes: Sequence[Axis]) -> None:
             raise ScenarioError(f"{where}.{field} = {name!r}: must be an axis: {', '.join(by_name)}")
     if not all(_is_number(level.value) for level in by_name[plot.x].levels):
         raise ScenarioError(f"{where}.x = {plot.x!r}: must be an axis whose values are numbers")
+    least = min(level.value for level in by_name[plot.x].levels)
+    if plot.log_x and least <= 0:
+        raise ScenarioError(f"{where}.log_x: {plot.x} = {least}: has no place on a logarithmic scale")
     drawable = [column.name for column in columns() if column.kind in ("float", "int", "bool")]
     if plot.y not in drawable:
         raise ScenarioError(f"{where}.y = {plot.y!r}: must be one of {', '.join(drawable)}")

@@ -23,7 +23,7 @@ LINE_EVERY_S = 10.0
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """What became of a sweep; what `maniple sweep --json` prints."""
+    """What became of a sweep; what `maniple sweep --json` prints. Runs that are equal are made once."""
 
     sweep: str
     runs: int
@@ -117,25 +117,27 @@ class _Display:
         self._begin = time.monotonic()
         self._next = self._begin + LINE_EVERY_S
         columns = (TextColumn(name), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        self._bar = Progress(*columns, console=console, transient=True)
-        self._task = self._bar.add_task(name, total=of, completed=done)
+        self._bar = Progress(*columns, console=console, transient=True) if console.is_terminal else None
+        self._task = self._bar.add_task(name, total=of, completed=done) if self._bar else None
 
     def __enter__(self) -> Self:
-        if self._console.is_terminal:
+        if self._bar:
             self._bar.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._bar.stop()
+        if self._bar:
+            self._bar.stop()
 
     def advance(self) -> None:
         """One more run is made."""
         self._done += 1
-        self._bar.advance(self._task)
         now = time.monotonic()
-        if not self._console.is_terminal and now >= self._next:
+        if self._bar and self._task is not None:
+            self._bar.advance(self._task)
+        elif now >= self._next:
             self._next = now + LINE_EVERY_S
             left_s = (now - self._begin) * (self._of - self._done) / (self._done - self._first)
             self._console.print(
@@ -209,8 +211,8 @@ def tell(outcome: Outcome, console: Console) -> None:
     def say(text: str, style: str = "") -> None:
         console.print(text, style=style, highlight=False, markup=False, soft_wrap=True)
 
-    done = outcome.made + outcome.kept
-    say(f"{outcome.sweep}: {done} runs in {outcome.wall_s:.0f} s ({outcome.kept} from before)")
+    made = f"{outcome.made} made in {outcome.wall_s:.0f} s, {outcome.kept} there before"
+    say(f"{outcome.sweep}: {outcome.runs} runs, {made}")
     say(f"{outcome.completed} completed, {outcome.collisions} with collisions, {outcome.failed} failed")
     if outcome.first_failure:
         say(f"the first that failed: {outcome.first_failure}", "red")
