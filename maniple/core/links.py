@@ -74,6 +74,16 @@ class _Rule(NamedTuple):
     queue: RateQueue | None
 
 
+class _Beyond(NamedTuple):
+    """What a rule does to a message besides loss and delay."""
+
+    burst: bool
+    copied: bool
+    corrupted: bool
+    held: Duration
+    copy_delay: Duration
+
+
 class Link:
     """The faults of one directed link: source, destination and topic.
 
@@ -128,15 +138,12 @@ class Link:
                 copy_delay += waits or 0
             if self._plain:
                 continue
-            fault = rule.fault
-            hit, copies, other_wait, held, copy_held, flips = self._more(incarnation, seq, rule.number)
-            burst = burst or self._in_burst(rule, incarnation, seq, hit)
-            copied = copied or copies < fault.duplicate
-            corrupted = corrupted or flips < fault.corrupt
-            back = from_seconds(fault.reorder_s)
-            delay += back if held < fault.reorder else 0
-            copy_delay += rule.latency + round(rule.jitter * (2.0 * other_wait - 1.0))
-            copy_delay += back if copy_held < fault.reorder else 0
+            more = self._beyond(rule, incarnation, seq)
+            burst = burst or more.burst
+            copied = copied or more.copied
+            corrupted = corrupted or more.corrupted
+            delay += more.held
+            copy_delay += more.copy_delay
         cause: Cause = "loss" if lost else "burst" if burst else "rate" if full else ""
         return Decision(cause, max(delay, 0), max(copy_delay, 0) if copied else None, corrupted)
 
@@ -167,6 +174,20 @@ class Link:
             fault,
             chain,
             queue,
+        )
+
+    def _beyond(self, rule: _Rule, incarnation: int, seq: int) -> _Beyond:
+        """What a rule does besides loss and delay."""
+        fault = rule.fault
+        hit, copies, wait, held, copy_held, flips = self._more(incarnation, seq, rule.number)
+        back = from_seconds(fault.reorder_s)
+        copy_delay = rule.latency + round(rule.jitter * (2.0 * wait - 1.0))
+        return _Beyond(
+            burst=self._in_burst(rule, incarnation, seq, hit),
+            copied=copies < fault.duplicate,
+            corrupted=flips < fault.corrupt,
+            held=back if held < fault.reorder else 0,
+            copy_delay=copy_delay + (back if copy_held < fault.reorder else 0),
         )
 
     def _in_burst(self, rule: _Rule, incarnation: int, seq: int, hit: float) -> bool:
