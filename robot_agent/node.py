@@ -239,6 +239,7 @@ class RobotAgent:
             self._counted["clipped"] += 1
         u, w, v = self._sent
         self._applied, self._applied_since = self._orders.stamp(), self._orders.arrived
+        self._active = True
         return Outgoing(self._drive, Drive(u_mps=u, w_radps=w, v_mps=v, active=True))
 
     def _stand(self, verdict: guard.Reason = "none") -> Outgoing:

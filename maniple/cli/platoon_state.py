@@ -53,6 +53,8 @@ class LinkState(msgspec.Struct, frozen=True):
 class PlatoonState(msgspec.Struct, frozen=True):
     """What `--json` prints."""
 
+    connect: str
+    """Where it was asked."""
     ok: bool
     """Whether every robot of the roster is there, and may move."""
     nodes: dict[str, tuple[int, ...]]
@@ -76,6 +78,7 @@ class PlatoonState(msgspec.Struct, frozen=True):
 
 
 def state_of(
+    connect: str,
     known: Known,
     heard: Mapping[str, Message],
     formation: FormationState | None,
@@ -87,6 +90,7 @@ def state_of(
     reports = {robot.id: robot for robot in formation.roster} if formation is not None else {}
     whole = bool(reports) and all(name in known.alive for name in reports)
     return PlatoonState(
+        connect=connect,
         ok=whole and not stopped,
         nodes=dict(known.alive),
         phase="" if formation is None else formation.phase,

@@ -88,7 +88,7 @@ def status(
     ):
         listener = Listener(session)
         while True:
-            state = look(session, listener)
+            state = look(session, listener, connect)
             show(state)
             if not watch or interrupted.wait(_PAUSE_S):
                 break
@@ -116,7 +116,7 @@ def _output(as_json: bool, watch: bool) -> Iterator[Callable[[PlatoonState], Non
         yield lambda state: live.update(picture(state), refresh=True)
 
 
-def look(session: "ZenohSession", listener: Listener) -> PlatoonState:
+def look(session: "ZenohSession", listener: Listener, connect: str = "") -> PlatoonState:
     """How the platoon is: listens until everybody who is there has said how it is, or has had the time to."""
     from maniple.host.router import clock_of
 
@@ -129,6 +129,7 @@ def look(session: "ZenohSession", listener: Listener) -> PlatoonState:
     said, plan = latched(session, topics.STOP), latched(session, topics.PLAN)
     formation = heard.get(topics.FORMATION_STATE) or latched(session, topics.FORMATION_STATE)
     return state_of(
+        connect,
         known,
         heard,
         formation if isinstance(formation, FormationState) else None,

@@ -50,7 +50,7 @@ def _heads(state: PlatoonState) -> Iterator[RenderableType]:
     if state.stopped:
         why = f": {state.stop_reason}" if state.stop_reason else ""
         yield Text(f"EMERGENCY STOP{why}", style="bold red")
-    yield _phase(state)
+    yield _phase(state).append(f" ({state.connect})", style="dim")
     there = sum(bool(robot.lives) for robot in state.robots)
     others = [name for name in ("controller", "simulator", "recorder", "router") if name in state.nodes]
     missing = [robot.id for robot in state.robots if not robot.lives]
@@ -67,7 +67,7 @@ def _phase(state: PlatoonState) -> Text:
     if not state.phase:
         return Text("no controller has said anything yet", style="yellow")
     line = Text(f"{state.phase}, {state.task_time_s:.1f} of {state.task_duration_s:.1f} s")
-    if state.waits_for:
+    if state.waits_for and not state.reason.startswith("waits for"):
         line.append(f", waits for {', '.join(state.waits_for)}", style="yellow")
     if state.reason:
         line.append(f": {state.reason}", style="yellow")

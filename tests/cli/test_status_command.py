@@ -89,7 +89,9 @@ def state(
     plan: FaultPlan | None = None,
     **changes: Any,
 ) -> PlatoonState:
-    return state_of(known, heard(*others), formation(**changes), said, fault_text.report(plan, 5 * SECOND))
+    return state_of(
+        "tcp/h:1", known, heard(*others), formation(**changes), said, fault_text.report(plan, 5 * SECOND)
+    )
 
 
 def text(shown: PlatoonState, width: int = 80) -> list[str]:
@@ -107,7 +109,7 @@ def test_a_platoon_that_is_well() -> None:
         ("r2", (2,), -1.0),
     ]
     assert text(well) == [
-        "running, 12.3 of 60.0 s",
+        "running, 12.3 of 60.0 s (tcp/h:1)",
         "2 of 2 robots there, controller, simulator, recorder, router",
         "faults: none",
         "robot   mode      guard  command age   worst  odometry age  round trip",
@@ -121,10 +123,15 @@ def test_a_robot_that_is_not_there() -> None:
     gone = state(known=Known(("r1", "r2"), {"controller": (1,), "r1": (1,)}), waits_for=("r2",))
     assert not gone.ok
     assert text(gone)[:2] == [
-        "running, 12.3 of 60.0 s, waits for r2",
+        "running, 12.3 of 60.0 s, waits for r2 (tcp/h:1)",
         "1 of 2 robots there, controller; not there: r2",
     ]
     assert text(gone)[5].startswith("r2     not there")
+
+
+def test_who_is_waited_for_is_told_once() -> None:
+    (first, *_) = text(state(waits_for=("r2",), reason="waits for r2: blind"))
+    assert first == "running, 12.3 of 60.0 s: waits for r2: blind (tcp/h:1)"
 
 
 def test_an_emergency_stop_holds_the_platoon_and_is_told_once() -> None:
@@ -144,16 +151,16 @@ def test_what_is_wrong_with_a_robot_is_said_below_the_table() -> None:
     )
     lines = text(state(bad))
     assert lines[6] == "r2: the command is 2.1 s old; drive configured; does not know where it is"
-    quiet = state_of(KNOWN, {}, formation(), None, fault_text.report(None, 0))
+    quiet = state_of("tcp/h:1", KNOWN, {}, formation(), None, fault_text.report(None, 0))
     assert "silent" in text(quiet)[4]
-    assert text(quiet)[0] == "running, 12.3 of 60.0 s (as last heard)"
+    assert text(quiet)[0] == "running, 12.3 of 60.0 s (as last heard) (tcp/h:1)"
 
 
 def test_a_controller_that_never_was() -> None:
-    nobody = state_of(Known((), {"router": (1,)}), {}, None, None, fault_text.report(None, 0))
+    nobody = state_of("tcp/h:1", Known((), {"router": (1,)}), {}, None, None, fault_text.report(None, 0))
     assert not nobody.ok
     assert text(nobody)[:2] == [
-        "no controller has said anything yet",
+        "no controller has said anything yet (tcp/h:1)",
         "0 of 0 robots there, router; no controller",
     ]
 

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from maniple.core import topics
 from maniple.core.clocks import NodeClock
 from maniple.core.messages import Command, Drive, EmergencyStop, Status
+from maniple.core.time import SECOND
 from tests.robot_agent.hosted import LIMITS, HostedAgent, enveloped
 
 
@@ -93,6 +94,19 @@ def test_a_drive_that_was_off_stays_off() -> None:
     agent.tick()
     assert (agent.status().mode, agent.drive.active) == ("emergency", False)
     ordered(agent, False, 6)
+    assert agent.drive.active
+
+
+def test_a_drive_that_is_driven_stays_on_also_after_a_fault_that_was_none() -> None:
+    """It was silent for a moment, and had not heard that it was given up."""
+    agent = HostedAgent(NodeClock())
+    driven(agent, 0, 3)
+    agent.now += SECOND
+    agent.tick()
+    assert not agent.drive.active
+    driven(agent, 30, 32)
+    assert (agent.status().mode, agent.drive.active) == ("tracking", True)
+    ordered(agent, True, 5)
     assert agent.drive.active
 
 
