@@ -1,6 +1,7 @@
 """How a running platoon is, as a value, as a table and as a command."""
 
 import json
+import signal
 from collections.abc import Iterator
 from typing import Any
 
@@ -31,7 +32,8 @@ from maniple.core.time import SECOND
 from maniple.host.clock import Anchor
 from maniple.host.router import serve
 from maniple.transport.zenoh import ZenohSession
-from tests.transport.test_zenoh import free_port
+from tests.cli.scenes import start
+from tests.transport.test_zenoh import DEADLINE_S, free_port
 from tests.waiting import eventually
 
 ALIVE = {"controller": (1,), "r1": (1,), "r2": (2,), "recorder": (1,), "router": (1,), "simulator": (1,)}
@@ -243,6 +245,16 @@ def test_the_command(endpoint: str) -> None:
         eventually(lambda: other.ask(topics.STOP))
     stopped = invoke("status", "--connect", endpoint)
     assert (stopped.exit_code, stopped.stdout.splitlines()[0]) == (1, "EMERGENCY STOP")
+
+
+def test_watching_goes_on_until_it_is_interrupted(endpoint: str) -> None:
+    watching = start("status", "--watch", "--json", "--connect", endpoint)
+    assert watching.stdout is not None
+    shown = [json.loads(watching.stdout.readline()) for _ in range(2)]
+    watching.send_signal(signal.SIGINT)
+    _, err = watching.communicate(timeout=DEADLINE_S)
+    assert (watching.returncode, err) == (130, "")
+    assert [one["connect"] for one in shown] == [endpoint, endpoint]
 
 
 def test_nobody_there_is_a_failure() -> None:
