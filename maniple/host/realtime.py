@@ -109,7 +109,8 @@ class RealtimeHost:
         for name in wanted:
             session = self._session(name)
             if session is not None and topics.sender_of(name) != self._node.name:
-                session.subscribe(name, self._inbox.arrived, self._inbox.unfit)
+                one_sender = topics.sender_of(name) != ""
+                session.subscribe(name, self._inbox.arrived, self._inbox.unfit, one_sender)
         self._fleet.watch(self._inbox.life)
         latched = [
             Arrived(topic, data, time.monotonic_ns())

@@ -28,8 +28,9 @@ LEASE_S = 2.0
 MAX_BYTES = 8 << 20
 """No message is larger."""
 
-Unfit: TypeAlias = Literal["corrupted", "huge"]
-"""Why bytes that arrived are kept from everybody: not what was sent, or more than `MAX_BYTES`."""
+Unfit: TypeAlias = Literal["corrupted", "unsealed", "huge"]
+"""Why bytes that arrived are kept from everybody: not what was sent; without a CRC-32 on a topic whose sender
+sends it; more than `MAX_BYTES`."""
 
 OnUnfit: TypeAlias = Callable[[str, Unfit], None]
 """Told the topic name and why."""
@@ -124,15 +125,26 @@ class ZenohSession:
         self._session.put(self._key(name), data, attachment=attachment)
 
     def subscribe(
-        self, expression: str, on_sample: Callable[[str, bytes], None], on_unfit: OnUnfit | None = None
+        self,
+        expression: str,
+        on_sample: Callable[[str, bytes], None],
+        on_unfit: OnUnfit | None = None,
+        one_sender: bool = False,
     ) -> None:
         """Call `on_sample(topic, bytes)` for what arrives from others, and `on_unfit` for what is not fit to
-        be looked at; `expression` may hold `*` and `**`. Bytes without attachment are not checked."""
+        be looked at; `expression` may hold `*` and `**`. Bytes without attachment are not checked; where a
+        topic has `one_sender`, they are unfit once that has sent some with one."""
         skip = len(self._prefix) + 1
+        sealed: set[str] = set()
 
         def receive(sample: zenoh.Sample) -> None:
             name = str(sample.key_expr)[skip:]
             data, unfit = _checked(sample)
+            if one_sender and unfit is None:
+                if _crc_in(sample) is not None:
+                    sealed.add(name)
+                elif name in sealed:
+                    unfit = "unsealed"
             if unfit is None:
                 on_sample(name, data)
             elif on_unfit is not None:
@@ -231,11 +243,14 @@ def _checked(sample: zenoh.Sample) -> tuple[bytes, Unfit | None]:
     if len(sample.payload) > MAX_BYTES:
         return b"", "huge"
     data = sample.payload.to_bytes()
-    if sample.attachment is not None:
-        crc = sample.attachment.to_bytes()
-        if len(crc) == _CRC_BYTES and crc != crc_of(data):
-            return b"", "corrupted"
-    return data, None
+    crc = _crc_in(sample)
+    return (b"", "corrupted") if crc is not None and crc != crc_of(data) else (data, None)
+
+
+def _crc_in(sample: zenoh.Sample) -> bytes | None:
+    """The attachment, if it is a CRC-32."""
+    crc = None if sample.attachment is None else sample.attachment.to_bytes()
+    return crc if crc is not None and len(crc) == _CRC_BYTES else None
 
 
 def _life_of(key: str) -> Iterator[tuple[str, int]]:

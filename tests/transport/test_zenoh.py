@@ -137,6 +137,23 @@ def test_flipped_bits_and_huge_payloads_reach_nobody_and_are_told(endpoint: str)
     ]
 
 
+def test_who_has_sent_a_crc_once_is_not_believed_without(endpoint: str) -> None:
+    heard: SimpleQueue[tuple[str, str]] = SimpleQueue()
+    name = "robot/r1/odometry"
+    with ZenohSession.client(endpoint, "test") as ear, ZenohSession.client(endpoint, "test") as mouth:
+        ear.subscribe(name, lambda _, data: heard.put(("", data.decode())), lambda *why: heard.put(why), True)
+        ear.settle()
+        for data, crc in (
+            (b"first", None),
+            (b"sealed", crc_of(b"sealed")),
+            (b"forged", None),
+            (b"odd", bytes(33)),
+        ):
+            mouth.put_raw(name, data, crc)
+        told = [heard.get(timeout=DEADLINE_S) for _ in range(4)]
+    assert told == [("", "first"), ("", "sealed"), (name, "unsealed"), (name, "unsealed")]
+
+
 @pytest.mark.parametrize(
     "token", ["r1/0", "r1/-1", "r1/x", "r1/" + "9" * 5000, "r1/\u0663", "-r1/1", "r 1/1"]
 )
