@@ -1,0 +1,1 @@
+"""How a platoon gets over the loss of each of its processes."""
