@@ -38,7 +38,7 @@ class Simulator:
         }
         self._robots = tuple(robot.id for robot in scenario.robots)
         self._index = {topics.drive(robot): i for i, robot in enumerate(self._robots)}
-        self.subscriptions = frozenset(self._index)
+        self.subscriptions = frozenset(self._index) | {topics.HOST_REFUSED}
         self._motion_topics = tuple(topics.motion(robot) for robot in self._robots)
         self._physics = Physics(scenario)
         models = [scenario.model_of(robot) for robot in scenario.robots]

@@ -192,8 +192,8 @@ class ZenohSession:
         return self._tokens(node, timeout_s).get(node, ())
 
     def everyone(self, timeout_s: float = 2.0) -> dict[str, tuple[int, ...]]:
-        """The lives that are there now, of every node. To be asked before `watch`, which answers in part while
-        it learns."""
+        """The lives that are there now, of every node. To be asked before `watch`, which answers in part
+        while it learns."""
         return self._tokens("*", timeout_s)
 
     def _tokens(self, node: str, timeout_s: float) -> dict[str, tuple[int, ...]]:

@@ -24,7 +24,7 @@ def run(simulator: Node, duration_ms: int, u: float = 0.1, w: float = 0.05) -> l
     """Everything that is sent while all robots are told (u, w) every 50 ms."""
     sent = list(simulator.on_start(T0))
     for t in range(0, duration_ms, 50):
-        for topic in sorted(simulator.subscriptions):
+        for topic in sorted(simulator.subscriptions - {topics.HOST_REFUSED}):
             message = Drive(u_mps=u, w_radps=w, active=True)
             sent += simulator.on_message(Received(topic, message), T0 + (t + 1) * MS)
         sent += simulator.on_timer("motion", T0 + (t + 13) * MS)
@@ -42,7 +42,7 @@ def test_who_it_is_and_what_it_hears(make_scenario: MakeScenario) -> None:
     rates = Rates(motion_hz=20.0, scan_hz=10.0, truth_hz=5.0)
     simulator: Node = Simulator(make_scenario(POSES, rates=rates))
     assert simulator.name == "simulator"
-    assert simulator.subscriptions == {"hw/r1/drive", "hw/r2/drive", "hw/r3/drive"}
+    assert simulator.subscriptions == {"hw/r1/drive", "hw/r2/drive", "hw/r3/drive", topics.HOST_REFUSED}
     assert simulator.timers == {"motion": 50 * MS, "scan": 100 * MS, "truth": 200 * MS}
 
 
