@@ -1,6 +1,6 @@
 """Pictures of a sweep: a figure of the runs against a field of the scenario."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -23,8 +23,19 @@ Runs: TypeAlias = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 MARKERS = "osD^vP"
 
-EDGE: dict[str, Any] = {"ls": (0, (4, 2)), "lw": 0.8}
-"""How the predicted edge looks."""
+
+class Edge(NamedTuple):
+    """A predicted edge of stability."""
+
+    label: str
+    look: Mapping[str, Any]
+
+
+EDGES = {
+    "tolerated_delay_s": Edge("rule of thumb", {"ls": (0, (4, 2)), "lw": 0.8}),
+    "delay_margin_s": Edge("linearised loop", {"ls": (0, (1, 1.2)), "lw": 1.0}),
+}
+"""By the column that has the delay of the whole loop."""
 
 
 class Curve(NamedTuple):
@@ -55,19 +66,19 @@ def draw(plot: Plot, table: Table) -> Figure:
     if plot.title:
         figure.suptitle(plot.title, fontsize=style.LOOK["axes.titlesize"])
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    edges = False
+    edges: set[str] = set()
     for panel, axes in zip(panels, grid.flat, strict=False):
         chosen = where(table, {plot.facets: panel})
-        alike = len(edge_of(table, plot, chosen)) == 1
+        alike = all(len(edge_of(table, plot, chosen, column)) <= 1 for column in EDGES)
         for index, line in enumerate(lines):
             runs = chosen & where(table, {plot.series: line})
             _draw_curve(axes, curve(table, plot, runs), index)
-            edges |= _draw_edge(axes, plot, table, runs, style.INK if alike else style.look(index)["color"])
+            edges |= _draw_edges(axes, plot, table, runs, style.INK if alike else style.look(index)["color"])
         if plot.facets:
             axes.set_title(shown(panel))
     _label(plot, grid, len(panels))
     _scale(plot, grid[0][0], table)
-    style.legend(figure, list(_rows(plot, lines, edges)), len(lines) + 1)
+    style.legend(figure, list(_rows(plot, lines, edges)), len(lines) + 2)
     return figure
 
 
@@ -104,11 +115,11 @@ def curve(table: Table, plot: Plot, runs: Runs) -> Curve:
     return Curve(places, *found)
 
 
-def edge_of(table: Table, plot: Plot, runs: Runs) -> list[float]:
+def edge_of(table: Table, plot: Plot, runs: Runs, column: str) -> list[float]:
     """Where on the x axis the loop of these runs is predicted to lose its stability, each place once."""
     if plot.edge is None:
         return []
-    delays = {table["tolerated_delay_s"][index] for index in np.flatnonzero(runs).tolist()}
+    delays = {table[column][index] for index in np.flatnonzero(runs).tolist()} - {None}
     return sorted({round(delay / plot.edge, 9) for delay in delays})
 
 
@@ -123,13 +134,15 @@ def _draw_curve(axes: Axes, found: Curve, index: int) -> None:
     axes.plot(found.x, found.middle, marker=MARKERS[index % len(MARKERS)], ms=2.2, **look)
 
 
-def _draw_edge(axes: Axes, plot: Plot, table: Table, runs: Runs, colour: str) -> bool:
-    """Draw the predicted edges of these runs that are on the x axis; says whether there are any."""
-    xs = table[plot.x]
-    places = [place for place in edge_of(table, plot, runs) if min(xs) <= place <= max(xs)]
-    for place in places:
-        axes.axvline(place, **EDGE, color=colour)
-    return bool(places)
+def _draw_edges(axes: Axes, plot: Plot, table: Table, runs: Runs, colour: str) -> set[str]:
+    """Draw the predicted edges of these runs that are on the x axis; returns which there are."""
+    xs, drawn = table[plot.x], set()
+    for column, edge in EDGES.items():
+        for place in edge_of(table, plot, runs, column):
+            if min(xs) <= place <= max(xs):
+                axes.axvline(place, color=colour, **edge.look)
+                drawn.add(column)
+    return drawn
 
 
 def _label(plot: Plot, grid: Any, panels: int) -> None:
@@ -162,10 +175,11 @@ def _scale(plot: Plot, axes: Axes, table: Table) -> None:
         axes.set_ylim(-0.05, 1.05)
 
 
-def _rows(plot: Plot, lines: Sequence[Any], edges: bool) -> Iterator[Artist]:
+def _rows(plot: Plot, lines: Sequence[Any], edges: Collection[str]) -> Iterator[Artist]:
     for index, line in enumerate(lines):
         if plot.series:
             label = f"{plot.series_label or plot.series} {shown(line)}"
             yield style.row(label, marker=MARKERS[index % len(MARKERS)], ms=2.2, **style.look(index))
-    if edges:
-        yield style.row("predicted edge", color=style.INK, **EDGE)
+    for column, edge in EDGES.items():
+        if column in edges:
+            yield style.row(edge.label, color=style.INK, **edge.look)

@@ -33,5 +33,5 @@ class Plot(Parameters, frozen=True, kw_only=True):
     y_max: Positive | None = None
     """What is larger is drawn at this."""
     edge: Positive | None = None
-    """The delay of the whole loop is this many times x: draw the predicted edge of stability there (where it
-    is `tolerated_delay_s`)."""
+    """The delay of the whole loop is this many times x: draw where it is `tolerated_delay_s`, the rule of
+    thumb, and where it is `delay_margin_s`, the linearised loop."""

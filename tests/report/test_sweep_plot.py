@@ -24,6 +24,7 @@ def table() -> Table:
     found["error_m"] = [None if row["latency"] == 0.4 else float(rng.uniform(0.1, 2.0)) for row in rows]
     found["completed"] = [row["latency"] < 0.4 and row["seed"] > 1 for row in rows]
     found["tolerated_delay_s"] = [0.3 if row["layer"] == "drive" else 5.0 for row in rows]
+    found["delay_margin_s"] = [0.4 if row["layer"] == "drive" else None for row in rows]
     return found
 
 
@@ -56,9 +57,11 @@ def test_values_are_drawn_within_the_limits() -> None:
 
 def test_the_edge_is_where_x_makes_the_tolerated_delay() -> None:
     data = table()
-    assert edge_of(data, PLOT, where(data, {"layer": "drive"})) == [0.15]
-    assert edge_of(data, PLOT, where(data, {})) == [0.15, 2.5]
-    assert edge_of(data, Plot(name="p", x="latency", y="error_m"), where(data, {})) == []
+    assert edge_of(data, PLOT, where(data, {"layer": "drive"}), "tolerated_delay_s") == [0.15]
+    assert edge_of(data, PLOT, where(data, {}), "tolerated_delay_s") == [0.15, 2.5]
+    assert edge_of(data, PLOT, where(data, {}), "delay_margin_s") == [0.2]
+    without = Plot(name="p", x="latency", y="error_m")
+    assert edge_of(data, without, where(data, {}), "tolerated_delay_s") == []
 
 
 def test_levels_come_in_the_order_of_the_runs() -> None:
@@ -73,7 +76,7 @@ def test_a_panel_for_each_facet_and_a_line_for_each_of_the_series() -> None:
         marked = [line for line in axes.get_lines() if line.get_marker() != "None"]
         assert len(marked) == 2
         upright = [line.get_xdata() for line in axes.get_lines() if line.get_marker() == "None"]
-        assert upright == [[0.15, 0.15]]
+        assert upright == [[0.15, 0.15], [0.2, 0.2]]
 
 
 @pytest.mark.parametrize(

@@ -139,7 +139,7 @@ def code() -> str:
 def table(plan: Plan, rows: Mapping[str, Row]) -> dict[str, tuple[Kind, list[Any]]]:
     """The results, by column: kind and a value for each run, in the order of the grid.
 
-    Axes come first, then seed, figures, the predicted delay, what was raised, and the overrides.
+    Axes come first, then seed, figures, the predicted delays, what was raised, and the overrides.
     """
     done = [(job, rows[job.id]) for job in plan.jobs if job.id in rows]
     found: dict[str, tuple[Kind, list[Any]]] = {}
@@ -150,6 +150,7 @@ def table(plan: Plan, rows: Mapping[str, Row]) -> dict[str, tuple[Kind, list[Any
         if column.name not in found:
             found[column.name] = column.kind, [row.figures.get(column.name) for _, row in done]
     found["tolerated_delay_s"] = "float", [job.tolerated_delay_s for job, _ in done]
+    found["delay_margin_s"] = "float", [job.delay_margin_s for job, _ in done]
     found["error"] = "text", [row.error for _, row in done]
     found["overrides"] = "texts", [list(job.overrides) for job, _ in done]
     return found

@@ -11,6 +11,7 @@ from maniple.cli.extensions import require_layers
 from maniple.cli.loading import completed, table_of
 from maniple.cli.sweep.grid import MOST_RUNS, Axis, SweepFile, axes_of, combinations, read_sweep, seeds_of
 from maniple.cli.sweep.rows import columns
+from maniple.control.delay_margin import delay_margin_s
 from maniple.control.limits import age_limits
 from maniple.core.errors import ScenarioError
 from maniple.core.scenario.fields import shown
@@ -19,7 +20,7 @@ from maniple.core.scenario.types import Guard, Scenario
 from maniple.core.version import __version__
 from maniple.report.sweep_types import Plot
 
-OWN_COLUMNS = {"seed", "tolerated_delay_s", "error", "overrides"}
+OWN_COLUMNS = {"seed", "tolerated_delay_s", "delay_margin_s", "error", "overrides"}
 """Of the results, beside axes and figures."""
 
 
@@ -36,7 +37,9 @@ class Job(NamedTuple):
     scenario_json: bytes
     """The resolved scenario."""
     tolerated_delay_s: float
-    """Delay of the network, there and back together, that the loop tolerates as predicted."""
+    """Delay of the network, there and back together, that the loop tolerates by the rule of thumb."""
+    delay_margin_s: float | None
+    """And linearised."""
 
 
 class Plan(NamedTuple):
@@ -85,16 +88,24 @@ def plan_of(path: Path) -> Plan:
 
 
 def tolerated_delay_s(scenario: Scenario) -> float:
-    """Delay of the network, both ways together, that the loop of every robot of a resolved scenario tolerates
-    by prediction: the age that a guard without limits of its own allows, without what sampling adds.
-
-    A measurement waits half a period on average for the next tick of the control, a command is held for half
-    a period and waits half a period for the drive.
-    """
-    rates = scenario.rates
-    sampling = 0.5 / rates.motion_hz + 0.5 / rates.control_hz + 0.5 / rates.drive_hz
+    """Delay of the network, both ways together, that every robot of a resolved scenario tolerates by the rule
+    of thumb: the age that a guard without limits of its own allows, without what sampling adds."""
     free = replace(scenario, guard=Guard())
-    return min(age_limits(free, robot)[1] for robot in scenario.robots) - sampling
+    return min(age_limits(free, robot)[1] for robot in scenario.robots) - sampling_s(scenario)
+
+
+def network_margin_s(scenario: Scenario) -> float | None:
+    """The same by the linearised loop; None with robots for which there is none."""
+    margins = [delay_margin_s(scenario, robot) for robot in scenario.robots]
+    known = [margin for margin in margins if margin is not None]
+    return min(known) - sampling_s(scenario) if len(known) == len(margins) else None
+
+
+def sampling_s(scenario: Scenario) -> float:
+    """What sampling adds to the age of data on average: a measurement waits half a period for the next tick
+    of the control, a command is held for half a period and waits half a period for the drive."""
+    rates = scenario.rates
+    return 0.5 / rates.motion_hz + 0.5 / rates.control_hz + 0.5 / rates.drive_hz
 
 
 def _combinations(
@@ -124,8 +135,8 @@ def _jobs(
         data = to_json(scenario)
         identity = b"\0".join((data, repr(sweep.duration_s).encode(), __version__.encode()))
         name = hashlib.blake2b(identity, digest_size=8).hexdigest()
-        delay_s = tolerated_delay_s(scenario)
-        jobs.append(Job(name, values, seed, (*sweep.set, *overrides), data, delay_s))
+        delays = tolerated_delay_s(scenario), network_margin_s(scenario)
+        jobs.append(Job(name, values, seed, (*sweep.set, *overrides), data, *delays))
     return jobs
 
 

@@ -4,7 +4,8 @@ from pathlib import Path
 import pytest
 
 from maniple.cli.loading import load
-from maniple.cli.sweep.plan import plan_of, tolerated_delay_s
+from maniple.cli.sweep.plan import network_margin_s, plan_of, tolerated_delay_s
+from maniple.control.delay_margin import delay_margin_s
 from maniple.core.errors import ScenarioError
 from maniple.core.scenario.parse import json_data, scenario_of
 from tests.cli.sweep.files import GRID, write_sweep
@@ -107,3 +108,7 @@ def test_the_predicted_delay(tmp_path: Path) -> None:
         assert tolerated_delay_s(central) == pytest.approx(math.pi / 2 * 0.2 / 0.4 - lag - sampling)
         onboard = load(scene, ["placement.robot_from=kinematics", *extra])
         assert tolerated_delay_s(onboard) == pytest.approx(0.8 * math.pi / (2 * 0.25) - sampling)
+        margin = delay_margin_s(onboard, onboard.robots[0])
+        assert margin is not None
+        assert network_margin_s(onboard) == pytest.approx(margin - sampling)
+    assert network_margin_s(load(scene, ["robots.0.model=robotino"])) is None
