@@ -2,7 +2,10 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test check bench slow clean
+LOCK = .venv/lock/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+	--no-annotate --custom-compile-command "make lock"
+
+.PHONY: run test check bench slow docker lock clean
 
 run: .venv/installed
 	$(BIN)/maniple run scenarios/paper-simulation-1.toml --speed 3
@@ -21,6 +24,17 @@ check: .venv/installed
 
 bench: .venv/installed
 	$(BIN)/python -m benchmarks
+
+# The platoon in containers; the recording is yours.
+docker:
+	MANIPLE_USER=$$(id -u):$$(id -g) docker compose up --build
+
+# Newer versions of what the image holds.
+lock: .venv/installed
+	$(PYTHON) -m venv .venv/lock
+	.venv/lock/bin/pip install --quiet --disable-pip-version-check uv
+	$(LOCK) --upgrade pyproject.toml --output-file deploy/requirements.txt
+	echo hatchling | $(LOCK) --upgrade - --output-file deploy/requirements-build.txt
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -m venv .venv
