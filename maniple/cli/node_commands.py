@@ -175,10 +175,11 @@ def _run_node(
     from maniple.core.faults import dies_by
     from maniple.host.fate import wait_out
     from maniple.host.realtime import RealtimeHost
-    from maniple.host.router import claim, clock_of, plan_kept
+    from maniple.host.router import await_router, claim, clock_of, plan_kept
 
     told = _clock(anchor)
     with _networks(scenario, connect, hardware, wait) as (fleet, wired):
+        await_router(fleet)
         clock = told or clock_of(fleet)
         if not wait_out(name, dies_by(name, scenario), lambda: plan_kept(fleet), clock):
             return
@@ -204,7 +205,7 @@ def _recorder(
     from maniple.core.scenario.parse import to_json
     from maniple.host.fate import wait_out
     from maniple.host.recorder import RECORDER, RecorderHost
-    from maniple.host.router import clock_of, plan_kept
+    from maniple.host.router import await_router, clock_of, plan_kept
     from maniple.recording.writer import RecordingWriter
 
     resolved, watch = _scenario(scenario)
@@ -217,6 +218,7 @@ def _recorder(
     if log.exists() and not next:
         raise RecordingError(f"{log} exists already; a recording is never overwritten")
     with _networks(resolved, connect, hardware, wait) as (fleet, wired):
+        await_router(fleet)
         clock = told or clock_of(fleet)
         if not wait_out(RECORDER, (RECORDER,), lambda: plan_kept(fleet), clock):
             return
@@ -261,6 +263,7 @@ def _router(scenario: str | None, listen: str, prefix: str, anchor: str | None) 
     while not ended:
         with ZenohSession.router(listen, links.prefix, links.lease_s) as session, on_interrupt(end):
             hosts[:] = [host := RouterHost(session, clock, resolved)]
+            host.start()
             if not away_s:
                 _say(f"listening on {listen}")
                 watch(end)

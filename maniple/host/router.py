@@ -229,6 +229,17 @@ def restore(session: ZenohSession, clock: Anchor, held: Iterable[Envelope], live
         session.put_raw(f"{_HELD}{envelope.topic}", envelope.data, crc_of(envelope.data))
 
 
+def await_router(session: ZenohSession, patience_s: float = 2.0) -> bool:
+    """Wait until the router at the other end serves, too; False: within this time it does not, so it is a
+    router of another kind."""
+    until = time.monotonic() + patience_s
+    while not session.lives(ROUTER):
+        if time.monotonic() >= until:
+            return False
+        time.sleep(_POLL_S)
+    return True
+
+
 def claim(session: ZenohSession, node: str, wanted: int | None = None, patience_s: float = 3.5) -> int:
     """Which life of a node starts now, as the router counts them, or this one if it is `wanted` and was not
     there before; where nobody counts, the wanted one or 1.
@@ -296,12 +307,19 @@ class RouterHost:
     ) -> None:
         self._service = Service(session, clock, scenario, grace_s)
         self._meet = meet
+        self._serves = False
         self._stopping = False
 
     @property
     def refused(self) -> Counter[str]:
         """What was not kept, by reason."""
         return self._service.refused
+
+    def start(self) -> None:
+        """Begin to serve; `run` does, if this was not called."""
+        if not self._serves:
+            self._service.start()
+            self._serves = True
 
     def stop(self) -> None:
         """Make `run` end; safe from a signal handler and from any thread."""
@@ -314,7 +332,7 @@ class RouterHost:
         has it dead, which it could not know; infinite: for good; 0: it was stopped.
         """
         service, began_ns = self._service, time.monotonic_ns()
-        service.start()
+        self.start()
         fate: Fate | None = None
         while not self._stopping:
             time.sleep(_POLL_S)
