@@ -57,8 +57,9 @@ _COMMON: Mapping[str, Any] = {
     "transport/link/tx/keep_alive": 4,
     # Who does not read holds nobody up for the default of 5 s: its session ends, and it connects anew.
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 200,
-    "transport/unicast/open_timeout": 1000,
-    "transport/unicast/accept_timeout": 1000,
+    # A handshake over TCP that loses every fifth packet of a round trip of 0.2 s seldom takes less than 1 s.
+    "transport/unicast/open_timeout": 5000,
+    "transport/unicast/accept_timeout": 5000,
 }
 
 
@@ -129,18 +130,18 @@ class ZenohSession:
         expression: str,
         on_sample: Callable[[str, bytes], None],
         on_unfit: OnUnfit | None = None,
-        one_sender: bool = False,
+        one_sender: Callable[[str], bool] = lambda _: False,
     ) -> None:
         """Call `on_sample(topic, bytes)` for what arrives from others, and `on_unfit` for what is not fit to
-        be looked at; `expression` may hold `*` and `**`. Bytes without attachment are not checked; where a
-        topic has `one_sender`, they are unfit once that has sent some with one."""
+        be looked at; `expression` may hold `*` and `**`. Bytes without attachment are not checked; on topics
+        that have `one_sender` they are unfit once that has sent some with one."""
         skip = len(self._prefix) + 1
         sealed: set[str] = set()
 
         def receive(sample: zenoh.Sample) -> None:
             name = str(sample.key_expr)[skip:]
             data, unfit = _checked(sample)
-            if one_sender and unfit is None:
+            if unfit is None and (name in sealed or one_sender(name)):
                 if _crc_in(sample) is not None:
                     sealed.add(name)
                 elif name in sealed:
