@@ -131,7 +131,9 @@ def _array_checked(name: str, row: int) -> Callable[[Any], str | None]:
         if len(data) % row:
             return f"{name} has {len(data)} bytes, not a multiple of {row}"
         values = np.frombuffer(data, dtype="<f4")
-        if math.isfinite(values.dot(values)):
+        with np.errstate(over="ignore", invalid="ignore"):
+            square = values.dot(values)
+        if math.isfinite(square):
             return None
         return f"{name} holds a number that is not finite or absurdly large"
 

@@ -1,11 +1,11 @@
 """A message on its way: its wire bytes and what is known of them without decoding."""
 
 import zlib
-from typing import Annotated
 
 import msgspec
 
 from maniple.core.errors import MessageError
+from maniple.core.messages import Count
 from maniple.core.time import Time
 
 
@@ -23,16 +23,13 @@ class Envelope(msgspec.Struct, frozen=True, gc=False):
     """Whether the bytes are not what the source sent: made by a host, or corrupted on the way."""
 
 
-_Count = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
-
-
 class Header(msgspec.Struct, frozen=True, gc=False):
     """What identifies a message: the fields that every message begins with."""
 
     source: str
-    incarnation: _Count
-    seq: _Count
-    stamp_ns: _Count
+    incarnation: Count
+    seq: Count
+    stamp_ns: Count
 
 
 _read_header = msgspec.msgpack.Decoder(Header).decode

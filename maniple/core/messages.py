@@ -38,16 +38,20 @@ def unpack_floats(data: bytes, columns: int | None = None) -> NDArray[np.float64
     return flat if columns is None else flat.reshape(-1, columns)
 
 
+Count = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
+"""What is counted, times in ns among them: room to add two without an overflow."""
+
+
 class Message(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """What every message carries. The host sets all four when it sends."""
 
     source: str = ""
     """Name of the node that sent it."""
-    incarnation: int = 0
+    incarnation: Count = 0
     """Which life of that node: 1 for the first start, higher after every restart."""
-    seq: int = 0
+    seq: Count = 0
     """Counts from 0 for each (source, incarnation, topic)."""
-    stamp_ns: int = 0
+    stamp_ns: Count = 0
     """When it was sent, on the sender's clock."""
 
 
@@ -73,7 +77,7 @@ class Odometry(Message, frozen=True, kw_only=True, gc=False):
     applied: Stamp | None = None
     """The command that was last acted on."""
     held_ns: int = 0
-    """How long ago that command arrived: what a round trip by way of it takes longer than the network does."""
+    """How long ago that command arrived: what a round trip by way of it takes beyond the network."""
     ticks: tuple[int, ...] = ()
     """The encoder counts this pose belongs to: with them a restarted agent knows how far the robot rolled
     on while it was dead. Empty before the first."""

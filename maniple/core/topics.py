@@ -203,6 +203,14 @@ def sender_of(name: str) -> str:
     return row.sender.replace("{id}", name.split("/")[1]) if "{id}" in row.sender else row.sender
 
 
+def has_one_sender(name: str) -> bool:
+    """Whether a name is that of a topic on which one node alone may send."""
+    try:
+        return sender_of(name) != ""
+    except MessageError:
+        return False
+
+
 def rate_hz(name: str, rates: Rates) -> float:
     """How often there is news on a topic, at the rates of a scenario; 0 for what is sent on an occasion."""
     row = topic(name)

@@ -109,8 +109,7 @@ class RealtimeHost:
         for name in wanted:
             session = self._session(name)
             if session is not None and topics.sender_of(name) != self._node.name:
-                one_sender = topics.sender_of(name) != ""
-                session.subscribe(name, self._inbox.arrived, self._inbox.unfit, one_sender)
+                session.subscribe(name, self._inbox.arrived, self._inbox.unfit, topics.has_one_sender)
         self._fleet.watch(self._inbox.life)
         latched = [
             Arrived(topic, data, time.monotonic_ns())

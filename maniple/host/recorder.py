@@ -66,7 +66,7 @@ class RecorderHost:
     def run(self, poll_s: float = 0.1) -> None:
         """Record until `stop`, and then what is still on its way."""
         for session in self._sessions:
-            session.subscribe("**", self._inbox.arrived, self._inbox.unfit)
+            session.subscribe("**", self._inbox.arrived, self._inbox.unfit, topics.has_one_sender)
         fleet = self._sessions[0]
         fleet.watch(self._inbox.life)
         for row in topics.TOPICS:
