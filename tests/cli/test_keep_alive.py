@@ -1,6 +1,5 @@
 """Runs whose processes die and freeze, by somebody's hand and by the fault plan, and come back."""
 
-import contextlib
 import os
 import signal
 import time
@@ -8,7 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any
 
 import pytest
 
@@ -18,7 +16,7 @@ from maniple.core.errors import ArgumentError
 from maniple.core.messages import FormationState
 from maniple.recording.reader import read
 from maniple.transport.zenoh import ZenohSession
-from tests.cli.scenes import PAPER, platoon, start, write
+from tests.cli.scenes import platoon, start, write
 from tests.cli.test_realtime import AT_ONCE_S, LONG, Run, await_state, running
 from tests.waiting import eventually, runs, state
 
@@ -58,18 +56,18 @@ def await_progress(states: SimpleQueue[FormationState]) -> None:
     await_state(states, lambda state: state.task_time_s > first.task_time_s + 1.0)
 
 
-def killed(run: Run, name: str) -> int:
-    """The process id of what takes the place of one that is killed."""
+def kill(run: Run, name: str) -> None:
+    """Kill a process, and wait until another takes its place."""
     pid = run.children()[name]
     os.kill(pid, signal.SIGKILL)
-    return eventually(lambda: run.children().get(name, pid) != pid and run.children().get(name))
+    eventually(lambda: run.children().get(name, pid) != pid)
 
 
 @pytest.mark.slow
 def test_whoever_dies_is_started_again_and_the_platoon_goes_on(tmp_path: Path) -> None:
     with kept_alive(tmp_path) as (run, states):
         for name in ("r1", "controller", "recorder", "router", "r1"):
-            killed(run, name)
+            kill(run, name)
             await_progress(states)
         run.process.send_signal(signal.SIGINT)
         status, found, err = run.finish()
@@ -190,8 +188,7 @@ def test_live_crashes_and_freezes(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_robot_that_somebody_else_starts_meanwhile(tmp_path: Path) -> None:
-    """Ours is dead by the plan; a guest takes its place and is not driven out."""
+def test_who_is_taken_out_of_the_plan_lives_again(tmp_path: Path) -> None:
     text = LONG + '[[crashes]]\nnode = "r2"\nat_s = 6.0\nrestart_after_s = 600.0\n'
     with kept_alive(tmp_path, text) as (run, states):
         pid = run.children()["r2"]
@@ -204,6 +201,34 @@ def test_a_robot_that_somebody_else_starts_meanwhile(tmp_path: Path) -> None:
         status, found, err = run.finish()
     assert status == 130, err
     assert found["restarts"] == {"r2": 1}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "command"), [("r2", ("agent", "r2")), ("controller", ("controller",))])
+def test_one_that_was_replaced_while_it_was_frozen_steps_back(
+    tmp_path: Path, name: str, command: tuple[str, ...]
+) -> None:
+    """The run goes on with who was started by hand, and does not start another."""
+    with kept_alive(tmp_path) as (run, states):
+        pid = run.children()[name]
+        options = ("--scenario", tmp_path / "small.toml", "--connect", run.option("--connect"))
+        os.kill(pid, signal.SIGSTOP)
+        with ZenohSession.client(run.option("--connect"), "maniple") as session:
+            eventually(lambda: not session.lives(name))
+        with start(*command, *options) as guest:
+            await_progress(states)
+            os.kill(pid, signal.SIGCONT)
+            eventually(lambda: not runs(pid))
+            await_progress(states)
+            assert name not in run.children()
+            run.process.send_signal(signal.SIGINT)
+            status, found, err = run.finish()
+            guest.send_signal(signal.SIGTERM)
+            guest.communicate(timeout=30)
+    assert status == 130, err
+    assert found["restarts"] == {}
+    assert f"{name} is there twice (incarnation 2)" in err
+    assert f"{name} (process {pid}) ended with status 1" in err
 
 
 def test_there_is_nothing_to_keep_alive_in_virtual_time(tmp_path: Path) -> None:
