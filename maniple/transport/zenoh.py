@@ -56,7 +56,7 @@ _COMMON: Mapping[str, Any] = {
     "transport/shared_memory/enabled": False,
     "transport/link/tx/keep_alive": 4,
     # Who does not read holds nobody up for the default of 5 s: its session ends, and it connects anew.
-    "transport/link/tx/queue/congestion_control/block/wait_before_close": 200,
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,  # us
     # A handshake over TCP that loses every fifth packet of a round trip of 0.2 s seldom takes less than 1 s.
     "transport/unicast/open_timeout": 5000,
     "transport/unicast/accept_timeout": 5000,
