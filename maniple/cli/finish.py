@@ -31,7 +31,8 @@ class Finisher:
         self._sessions = (fleet,) if hardware is fleet else (fleet, hardware)
         self._say = say
         self._phase = ""
-        self._worlds: set[int] = set()
+        self.worlds: set[int] = set()
+        """The lives of the simulator that were there."""
         self._interrupted = threading.Event()
 
     def interrupt(self) -> None:
@@ -71,15 +72,15 @@ class Finisher:
         begin = seen = time.monotonic()
         told = ""
         while self._phase != "done" and not self._interrupted.wait(POLL_S):
-            if self._phase != told:
+            if self._phase not in (told, "done"):
                 told = self._phase
                 self._say(f"the platoon is {told}")
             now = time.monotonic()
             here = self._here()
-            self._worlds.update(here.get("simulator", ()))
-            if "simulator" in here or not self._worlds or "router" not in here:
+            self.worlds.update(here.get("simulator", ()))
+            if "simulator" in here or not self.worlds or "router" not in here:
                 seen = now
-            if len(self._worlds) > 1:
+            if len(self.worlds) > 1:
                 return "the simulator was started again, which is another world"
             if now - seen > SIMULATOR_GONE_S:
                 return f"the simulator has been gone for {SIMULATOR_GONE_S:g} s"

@@ -69,7 +69,16 @@ def engine() -> Iterator[dict[str, str]]:
         except subprocess.TimeoutExpired:
             daemon.kill()
             daemon.wait()
-        shutil.rmtree(folder, ignore_errors=True)
+        unmount(folder)
+        shutil.rmtree(folder)
+
+
+def unmount(folder: Path) -> None:
+    """Take away what an engine that has ended leaves mounted."""
+    points = [line.split()[1] for line in Path("/proc/mounts").read_text().splitlines()]
+    for point in reversed(points):
+        if Path(point).is_relative_to(folder):
+            subprocess.run(["umount", "--lazy", point], check=False)
 
 
 class Images:
