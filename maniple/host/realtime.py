@@ -17,7 +17,7 @@ from maniple.core.faults import NEVER, beside, dies_by, next_change, plan_of
 from maniple.core.messages import FaultPlan
 from maniple.core.node import Node
 from maniple.core.scenario.types import Scenario
-from maniple.core.time import Duration, Time, from_seconds
+from maniple.core.time import MILLISECOND, Duration, Time, from_seconds
 from maniple.host.clock import Anchor
 from maniple.host.fate import Fate, Meet, meet
 from maniple.host.inbox import Arrived, Inbox, Item, Stop, Unfit
@@ -263,10 +263,11 @@ class RealtimeHost:
     def _meet_fate(self, now: Time) -> Time:
         """Do what the plan has in store for this process, and look again at its next change. Returns the time
         then."""
-        while event := self._fate.due(self._plan, now):
+        if event := self._fate.due(self._plan, now):
             self._meet(event, self._clock)
             now = self._clock.now()
-        if (change := next_change(self._plan, now)) is not None:
+            self._push_fate(now + MILLISECOND)
+        elif (change := next_change(self._plan, now)) is not None:
             self._push_fate(change)
         self._tell_lives(now)
         return now

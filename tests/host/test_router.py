@@ -272,6 +272,7 @@ def test_one_that_starts_in_the_time_of_its_death_is_away_for_the_rest_of_it() -
     for known, least, most in ((brief, 30.0, 60.0), (plan, float("inf"), float("inf"))):
         with ZenohSession.router(endpoint, "test") as session:
             host = RouterHost(session, clock)
+            host.start()
             away: SimpleQueue[float] = SimpleQueue()
             thread = Thread(target=lambda host=host, away=away: away.put(host.run(0.0)))
             thread.start()
