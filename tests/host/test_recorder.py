@@ -1,0 +1,175 @@
+"""The recorder: what it writes down, what it keeps out, and what it holds for a router that comes back."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Thread
+
+import msgspec
+import pytest
+
+from maniple.core import codec, topics
+from maniple.core.messages import EmergencyStop, FaultPlan, Message, Odometry
+from maniple.core.scenario.parse import to_json
+from maniple.core.time import SECOND
+from maniple.host.clock import Anchor
+from maniple.host.fate import Death, Pause
+from maniple.host.recorder import MOST_STRANGE, RecorderHost, keys_of
+from maniple.host.router import RouterHost
+from maniple.recording.reader import read
+from maniple.recording.writer import RecordingWriter
+from maniple.transport.zenoh import MAX_BYTES, ZenohSession, crc_of
+from tests.host.nodes import odometry, scenario_with
+from tests.host.test_latched import message, stop
+from tests.transport.test_zenoh import DEADLINE_S, free_port
+from tests.waiting import eventually
+
+TOPIC = "robot/r1/odometry"
+MET: list[Death | Pause] = []
+
+
+@contextmanager
+def recorder(endpoint: str, path: Path, clock: Anchor | None = None) -> Iterator[RecorderHost]:
+    """A recorder in a thread of its own; the recording is whole at the end."""
+    scenario = scenario_with()
+    writer = RecordingWriter(path, to_json(scenario), {}, prefix="test")
+    with writer, ZenohSession.client(endpoint, "test") as session:
+        host = RecorderHost(
+            writer, clock or Anchor.here(), [session], scenario, lambda event, _: MET.append(event)
+        )
+        thread = Thread(target=host.run)
+        thread.start()
+        try:
+            with ZenohSession.client(endpoint, "test") as other:
+                eventually(lambda: other.lives("recorder"))
+            yield host
+        finally:
+            host.stop()
+            thread.join(DEADLINE_S)
+
+
+@pytest.fixture
+def endpoint() -> Iterator[str]:
+    address = f"tcp/127.0.0.1:{free_port()}"
+    with ZenohSession.router(address, "test") as session:
+        RouterHost(session, Anchor.here(), grace_s=0.0).start()
+        yield address
+
+
+def recorded(path: Path) -> dict[str, list[bytes]]:
+    found: dict[str, list[bytes]] = {}
+    for entry in read(path).messages():
+        found.setdefault(entry.topic, []).append(entry.data)
+    return found
+
+
+def test_garbage_of_any_kind_on_any_key_is_written_down_or_counted(
+    endpoint: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.mcap"
+    names = [row.pattern.replace("{id}", "r1") for row in topics.TOPICS if row.network != "host"]
+    forged = codec.encode(
+        msgspec.structs.replace(odometry("r1"), incarnation=2**61, seq=2**61, stamp_ns=2**61)
+    )
+    payloads = [b"", b"\xc1", bytes(100), forged]
+    with recorder(endpoint, path) as host, ZenohSession.client(endpoint, "test") as foe:
+        foe.put_raw("robot/r1/command", bytes(MAX_BYTES + 1))
+        eventually(lambda: host.unwritten["huge"] == 1)
+        for name in names:
+            for data in payloads:
+                foe.put_raw(name, data)
+        foe.put_raw("robot/r1/command", b"flipped", crc_of(b"whole"))
+        foe.put_raw("k" * 1000, b"a key without end")
+        for number in range(MOST_STRANGE + 10):
+            foe.put_raw(f"made/up/{number}", b"x")
+        foe.put(TOPIC, message(7))
+        eventually(lambda: host.unwritten["unknown key"] == 11)
+    said = recorded(path)
+    assert all(said[name][: len(payloads)] == payloads for name in names)
+    assert said[TOPIC][-1] == message(7)
+    assert sum(name.startswith("made/up/") for name in said) == MOST_STRANGE
+    assert dict(host.unwritten) == {"unknown key": 11, "huge": 1, "corrupted": 1}
+    assert "not recorded: 1 corrupted, 1 huge, 11 unknown key" in capfd.readouterr().err
+
+
+def test_the_keys_of_a_scenario_always_have_room() -> None:
+    keys = keys_of(scenario_with())
+    assert {
+        "robot/r1/odometry",
+        "journal/controller",
+        "journal/simulator",
+        "faults/plan",
+        "hw/r1/scan",
+    } <= keys
+    assert not any(name.startswith("host/") for name in keys)
+
+
+def test_it_goes_on_when_the_router_is_back_and_tells_it_what_was_latched(tmp_path: Path) -> None:
+    address = f"tcp/127.0.0.1:{free_port()}"
+    path = tmp_path / "a.mcap"
+    first = ZenohSession.router(address, "test")
+    RouterHost(first, Anchor.here(), grace_s=0.0).start()
+    with recorder(address, path), ZenohSession.client(address, "test") as node:
+        node.announce("r1", 3)
+        node.put(topics.STOP, stop(5))
+        node.put(TOPIC, message(4, incarnation=3))
+        node.put(topics.FORMATION_GOAL, b"garbage that is not held")
+        node.settle()
+        first.close()
+        with ZenohSession.router(address, "test") as second:
+            RouterHost(second, Anchor.here(), grace_s=0.0).start()
+            assert eventually(lambda: node.ask(topics.STOP)) == {topics.STOP: stop(5)}
+            assert eventually(lambda: node.ask(TOPIC)) == {TOPIC: message(4, incarnation=3)}
+            assert node.ask(topics.FORMATION_GOAL) == {}
+            node.put(TOPIC, message(6, incarnation=3))
+            node.settle()
+            with ZenohSession.client(address, "test") as other:
+                eventually(lambda: other.ask(TOPIC) == {TOPIC: message(6, incarnation=3)})
+    said = recorded(path)
+    assert [codec.decode(TOPIC, data).seq for data in said[TOPIC]] == [4, 6]
+    assert said[topics.STOP][0] == stop(5)
+
+
+def test_it_dies_and_freezes_as_the_plan_says(endpoint: str, tmp_path: Path) -> None:
+    clock = Anchor.here(5.0)
+    MET.clear()
+    with recorder(endpoint, tmp_path / "a.mcap", clock), ZenohSession.client(endpoint, "test") as operator:
+        plan = msgspec.convert(
+            {
+                "incarnation": 1,
+                "since_ns": clock.now(),
+                "freezes": [{"node": "recorder", "at_s": 1.0, "for_s": 0.5}],
+                "crashes": [{"node": "recorder", "at_s": 2.0}],
+            },
+            FaultPlan,
+        )
+        operator.put(topics.PLAN, codec.encode(plan))
+        eventually(lambda: len(MET) >= 2)
+    assert isinstance(MET[0], Pause)
+    assert isinstance(MET[1], Death)
+
+
+def test_who_records_late_has_the_orders_that_hold(endpoint: str, tmp_path: Path) -> None:
+    """For a router that comes back; they are not written down a second time."""
+    path = tmp_path / "a.mcap"
+    with ZenohSession.client(endpoint, "test") as operator:
+        operator.put(topics.STOP, stop(5))
+        operator.settle()
+        with recorder(endpoint, path) as host:
+            held = host._store.message(topics.STOP)
+    assert isinstance(held, EmergencyStop)
+    assert topics.STOP not in recorded(path)
+
+
+def test_log_time_is_when_it_arrived_by_the_clock_of_the_run(endpoint: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    clock = Anchor(7 * SECOND, Anchor.here().monotonic_ns, 1.0)
+    with recorder(endpoint, path, clock), ZenohSession.client(endpoint, "test") as node:
+        before = clock.now()
+        node.put(TOPIC, message(0))
+        node.settle()
+        after = clock.now()
+    (entry,) = (entry for entry in read(path).messages() if entry.topic == TOPIC)
+    assert isinstance(entry.message, Message)
+    assert isinstance(entry.message, Odometry)
+    assert before <= entry.log_time_ns <= after + SECOND
