@@ -63,8 +63,9 @@ class FormerLife:
         """What is known where that is not enough, for people."""
         if (state := self._state) is not None:
             x, y, _ = state.reference
-            where = f"the reference was at ({x:.1f}, {y:.1f}) in the frame {state.frame!r}"
-            return f"only that {where}, {state.task_time_s:.0f} s into its task"
+            return (
+                f"only that the reference was at ({x:.1f}, {y:.1f}), {state.task_time_s:.0f} s into its task"
+            )
         return "nothing" if self._mission is None else "only the task, not how far it is"
 
 

@@ -330,7 +330,7 @@ class CentralController:
         planning = self._scenario.planning
         if self._errors is not None and within(self._errors, planning.tolerance_m, planning.tolerance_rad):
             return True
-        return planning.build == "straight" and self._settling >= from_seconds(planning.patience_s)
+        return (self._anew or planning.build != "law") and self._settling >= from_seconds(planning.patience_s)
 
     def _happened(self, event: Event) -> None:
         self._stage = STAGES.get((self._stage, event), self._stage)

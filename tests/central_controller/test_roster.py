@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
-from central_controller.roster import Member, Presence, Roster
+from central_controller.roster import AgeLimits, Member, Presence, Roster, waiting_for
 from maniple.core.geometry import Pose
-from maniple.core.messages import Alive, Message, Mode, Odometry, Scan, Status, pack_floats
+from maniple.core.messages import Alive, Message, Mode, Odometry, Scan, Seat, Status, pack_floats
 from maniple.core.scenario.types import Robot
 from maniple.core.time import MILLISECOND, SECOND
 
@@ -237,3 +238,141 @@ def test_ready_when_every_robot_was_heard() -> None:
     assert second.returns_age(T0 + 3) == 2
     second.heard(alive(1, False), T0)
     assert not roster.ready(T0, with_ranges=False)
+
+
+def later(roster: Roster, now: int, seconds: float, *names: str) -> tuple[int, int]:
+    """Go on with only these heard: when it is then, and how often the chain changed."""
+    changes = 0
+    for _ in range(round(10 * seconds)):
+        now += 100 * MILLISECOND
+        hear(roster, now, *names)
+        changes += roster.review(2 * SECOND, now)
+    return now, changes
+
+
+def test_a_robot_that_comes_and_goes_has_to_stay_ever_longer() -> None:
+    roster = platoon()
+    now, changes = T0, 0
+    for _ in range(10):
+        for names in (("r0", "r1"), ("r0", "r1", "r2")):
+            now, changed = later(roster, now, 3.0, *names)
+            changes += changed
+    assert changes <= 5
+    now, _ = later(roster, now, 16.5, "r0", "r1", "r2")
+    assert [member.id for member in roster.active] == ["r0", "r1", "r2"]
+    now, _ = later(roster, now, 60.0, "r0", "r1", "r2")
+    now, _ = later(roster, now, 3.0, "r0", "r1")
+    assert roster.members[2].lost
+    later(roster, now, 1.2, "r0", "r1", "r2")
+    assert not roster.members[2].lost
+
+
+def test_in_a_partition_those_that_are_heard_go_on() -> None:
+    roster = platoon(6)
+    now, changes = later(roster, T0, 10.0, "r3", "r4", "r5")
+    assert [member.id for member in roster.active] == ["r3", "r4", "r5"]
+    assert changes == 1
+    assert roster.waited_for(now) == {}
+    later(roster, now, 1.2, "r0", "r1", "r2", "r3", "r4", "r5")
+    assert len(roster.active) == 6
+
+
+def test_a_robot_in_an_emergency_is_waited_for_and_not_lost() -> None:
+    roster = platoon()
+    roster.members[1].heard(status(mode="emergency"), T0)
+    now, changes = later(roster, T0, 30.0, "r0", "r1", "r2")
+    assert changes == 0
+    assert roster.waited_for(now) == {"r1": "emergency"}
+
+
+def test_one_that_is_frozen_is_lost_though_its_token_lives_and_told_of_as_silent() -> None:
+    roster = platoon()
+    now, _ = later(roster, T0, 1.0, "r0", "r1")
+    assert roster.members[2].report(now).state == "silent"
+    assert later(roster, now, 5.0, "r0", "r1")[1] == 1
+
+
+LIMITS = AgeLimits(hold_s=1.0, stop_s=2.0)
+
+
+def test_how_old_its_commands_may_be_says_when_it_is_waited_for_and_when_it_is_silent() -> None:
+    member = Member(ROBOT, limits=LIMITS)
+    for message in (alive(1, True), status(), odometry(u=1.0)):
+        member.heard(message, T0)
+    for after_s, presence, cause in (
+        (0.9, "present", ""),
+        (1.1, "present", "it is not heard"),
+        (2.1, "silent", "it is not heard"),
+    ):
+        now = T0 + round(after_s * SECOND)
+        assert (member.presence(now), member.cause(now)) == (presence, cause)
+    view = member.view(T0 + 5 * SECOND)
+    assert view is not None
+    assert view.point == pytest.approx((1.8 + 2.0, 2.0)), "carried forward for 2 s"
+    member.limit(AgeLimits(hold_s=0.1, stop_s=0.2))
+    assert member.presence(T0 + 600 * MILLISECOND) == "silent"
+
+
+def test_late_odometry_is_carried_forward_over_what_it_is_old() -> None:
+    """It comes 0.8 s late once the network is slow, by whatever clock."""
+    member = Member(ROBOT, limits=LIMITS)
+    member.heard(alive(1, True), T0)
+    member.heard(odometry(u=1.0, now=T0), T0)
+    now = T0 + 2 * SECOND
+    member.heard(odometry(u=1.0, now=now - 800 * MILLISECOND), now)
+    view = member.view(now)
+    assert view is not None
+    assert view.point == pytest.approx((2.6, 2.0), abs=0.01)
+    assert view.age == pytest.approx(0.8 * SECOND, rel=0.01)
+    assert member.report(now).odometry_age_s == pytest.approx(0.8, rel=0.01)
+
+
+def test_causes_stay_the_same_while_nothing_changes_but_figures() -> None:
+    member = Member(ROBOT, limits=LIMITS)
+    member.heard(alive(1, True), T0)
+    said = []
+    for k, age_s in enumerate((4.1, 4.3, 3.9)):
+        now = T0 + k * SECOND
+        member.heard(odometry(now=now), now)
+        member.heard(replace(status(mode="holding"), command_age_s=age_s), now)
+        said.append(member.cause(now))
+    assert said == ["the command is 4.1 s old, the limit 1.00 s"] * 3
+    member.heard(replace(status(mode="fault"), reason="no word from the drive for 1.2 s"), now)
+    assert member.cause(now) == "fault: no word from the drive for 1.2 s"
+    assert member.report(now).reason == "no word from the drive for 1.2 s"
+
+
+def test_whom_it_waits_for_in_a_line() -> None:
+    assert waiting_for({}) == ""
+    causes = {"r1": "the command is 4.1 s old", "r3": "it is not heard", "r4": "the command is 4.3 s old"}
+    assert waiting_for(causes) == "waits for r1, r4: the command is 4.1 s old; for r3: it is not heard"
+
+
+def test_odometry_in_another_frame_is_not_believed_whatever_its_life_said() -> None:
+    """It was sent before the robot resumed its frame, and overtaken."""
+    member = Member(ROBOT)
+    for message in (alive(1, True), status(1), odometry(1)):
+        member.heard(message, T0)
+    member.locate()
+    for message in (alive(2, True), status(2), odometry(2, frame="r1/2")):
+        member.heard(message, T0)
+    assert member.odometry is not None
+    assert member.odometry.incarnation == 1
+    member.heard(odometry(2), T0)
+    assert member.odometry.incarnation == 2
+
+
+def test_the_next_life_knows_whom_to_believe() -> None:
+    former = Member(ROBOT)
+    for message in (alive(2, True), status(2), odometry(2)):
+        former.heard(message, T0)
+    former.locate()
+    seat = former.seat(3)
+    assert seat == Seat("r1", 3, 2, "r1", False)
+    for incarnation, frame, believed in ((2, "r1", True), (3, "r1/3", False), (2, "r1/2", False)):
+        member = Member(ROBOT, incarnation=2)
+        member.heard(odometry(incarnation, frame=frame), T0)
+        member.recall(seat)
+        assert (member.odometry is not None) == believed
+        member.heard(odometry(incarnation, frame=frame), T0)
+        assert (member.odometry is not None) == believed

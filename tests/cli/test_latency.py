@@ -1,6 +1,7 @@
 """0.4 m/s with control points 0.2 m ahead, over networks that are late and lose much: who bears what."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ HOSTS = pytest.mark.parametrize(
 @pytest.mark.slow
 @HOSTS
 @pytest.mark.parametrize("name", ["latency-kinematics", "latency-central-mild"])
-def test_the_platoon_gets_there(tmp_path: Path, name: str, host: dict[str, float]) -> None:
+def test_the_platoon_gets_there(tmp_path: Path, name: str, host: dict[str, Any]) -> None:
     result = maniple.run(FOLDER / f"{name}.toml", log=tmp_path / "run.mcap", **host)
     assert result.completed
     assert result.collisions == 0
@@ -31,7 +32,7 @@ def test_the_platoon_gets_there(tmp_path: Path, name: str, host: dict[str, float
 
 @pytest.mark.slow
 @HOSTS
-def test_all_central_it_holds_and_says_why(tmp_path: Path, host: dict[str, float]) -> None:
+def test_all_central_it_holds_and_says_why(tmp_path: Path, host: dict[str, Any]) -> None:
     path = FOLDER / "latency-central.toml"
     result = maniple.run(path, log=tmp_path / "run.mcap", duration_s=30.0, **host)
     assert not result.completed
