@@ -36,11 +36,11 @@ def test_velocities_turn_with_the_frame() -> None:
 
 
 @pytest.mark.parametrize(("u", "w"), [(0.5, 0.0), (0.5, 0.8), (-0.3, -1.5), (0.0, 1.0)])
-def test_propagation_is_the_unicycle_at_constant_velocities(u: float, w: float) -> None:
+def test_propagation_goes_straight_on_and_turns(u: float, w: float) -> None:
     start = Pose(1.0, 2.0, 0.5)
 
-    def motion(_t: float, x: Floats) -> list[float]:
-        return [u * math.cos(x[2]), u * math.sin(x[2]), w]
+    def motion(_t: float, _x: Floats) -> list[float]:
+        return [u * math.cos(start.psi), u * math.sin(start.psi), w]
 
     expected = solve_ivp(motion, (0.0, 0.4), start, rtol=1e-10, atol=1e-12).y[:, -1]
     assert_allclose(propagated(odometry(start, u, w), 0.4), expected, atol=1e-9)
