@@ -51,16 +51,17 @@ def decoder(name: str) -> Callable[[bytes], Message]:
     return read_checked
 
 
+def head(name: str) -> bytes:
+    """The first bytes of a message that has no more fields than its type."""
+    fields = len(_field_names(topic(name).type))  # the length of a map: in one byte, or two after a mark
+    return bytes([0x80 | fields]) if fields < 16 else b"\xde" + fields.to_bytes(2, "big")
+
+
 def unknown_fields(name: str, data: bytes) -> int:
     """How many fields of a valid message its type does not have: they were ignored."""
-    known = _field_names(topic(name).type)
-    if (
-        data[0] & 0x0F == len(known) and data[0] & 0xF0 == 0x80
-    ):  # the length of a short map is in its first byte
-        return 0
-    if data[0] == 0xDE and int.from_bytes(data[1:3], "big") == len(known):
-        return 0
-    return len(msgspec.msgpack.decode(data, type=dict[str, msgspec.Raw]).keys() - known)
+    return len(
+        msgspec.msgpack.decode(data, type=dict[str, msgspec.Raw]).keys() - _field_names(topic(name).type)
+    )
 
 
 @cache

@@ -34,10 +34,11 @@ MOST_OPERATORS = 32
 class _Inlet:
     """What a node takes from one sender on one topic."""
 
-    __slots__ = ("arrived", "decode", "injected", "missing", "newest", "received", "refused")
+    __slots__ = ("arrived", "decode", "head", "injected", "missing", "newest", "received", "refused")
 
     def __init__(self, topic: str) -> None:
         self.decode: Callable[[bytes], Message] = codec.decoder(topic)
+        self.head = codec.head(topic)
         self.newest = (-1, -1)
         self.arrived: Time = 0
         self.missing = self.received = self.injected = self.refused = 0
@@ -59,6 +60,8 @@ class Inlets:
         self._rates = rates
         self._inlets: dict[tuple[str, str], _Inlet] = {}
         self._announced: dict[str, set[int]] = {}
+        self.unknown_fields = 0
+        """That were ignored in what was taken in."""
 
     @property
     def received(self) -> int:
@@ -91,12 +94,16 @@ class Inlets:
                 return "unannounced"
         elif envelope.incarnation < incarnation or envelope.seq <= newest:
             return "old"
-        elif envelope.seq > newest + self._most_ahead(topic, now - inlet.arrived):
+        elif envelope.seq > newest + SPARE and envelope.seq > newest + self._most_ahead(
+            topic, now - inlet.arrived
+        ):
             return "leap"
         try:
             message = inlet.decode(envelope.data)
         except MessageError:
             return "malformed"
+        if not envelope.data.startswith(inlet.head):
+            self.unknown_fields += codec.unknown_fields(topic, envelope.data)
         inlet.take(envelope, now)
         return message
 

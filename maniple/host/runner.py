@@ -75,8 +75,6 @@ class NodeRunner:
         judged = self._inlets.judge(envelope, now, latched)
         if isinstance(judged, str):
             return self.refuse(envelope.topic, envelope.source, judged, now)
-        if unknown := codec.unknown_fields(envelope.topic, envelope.data):
-            self._counters["unknown_fields"] += unknown
         self._journal.received(envelope, now)
         return self._outgoing(self.node.on_message(Received(envelope.topic, judged), now), now)
 
@@ -121,6 +119,8 @@ class NodeRunner:
         """What was counted: to the node, and of the links to everybody."""
         self._counters_due = now + _COUNTERS_PERIOD
         counters = {"received": self._inlets.received, **self._counters}
+        if unknown := self._inlets.unknown_fields:
+            counters["unknown_fields"] = unknown
         sent = self._tell(topics.HOST_COUNTERS, Counters(counters=counters), now)
         if links := self._inlets.report():
             sent.append(self._stamp(topics.links(self.node.name), LinkReports(links=links), now))
