@@ -56,7 +56,7 @@ def show(
     connect: Connect = LOCAL, prefix: Prefix = "maniple", json: Json = False, timeout: Timeout = 5.0
 ) -> None:
     """Show what is planned: rules with their numbers, partitions, crashes and freezes, and where they are."""
-    from maniple.host.router import clock_of
+    from maniple.host.joining import clock_of
 
     with operator_session(connect, prefix, timeout) as session:
         _say(_planned(session), clock_of(session).now(), json)
@@ -229,7 +229,7 @@ def _change(change: Change, connect: str, prefix: str, as_json: bool, timeout_s:
         ArgumentError: the changed plan is not valid; says what would be.
         RunError: the platoon can't be reached.
     """
-    from maniple.host.router import clock_of
+    from maniple.host.joining import clock_of
 
     with operator_session(connect, prefix, timeout_s) as session:
         clock = clock_of(session)

@@ -174,8 +174,8 @@ def _run_node(
     from maniple.cli.nodes import factories
     from maniple.core.faults import dies_by
     from maniple.host.fate import wait_out
+    from maniple.host.joining import await_router, claim, clock_of, plan_kept
     from maniple.host.realtime import RealtimeHost
-    from maniple.host.router import await_router, claim, clock_of, plan_kept
 
     told = _clock(anchor)
     with _networks(scenario, connect, hardware, wait) as (fleet, wired):
@@ -204,8 +204,8 @@ def _recorder(
     from maniple.cli.machine import describe_machine
     from maniple.core.scenario.parse import to_json
     from maniple.host.fate import wait_out
+    from maniple.host.joining import await_router, clock_of, plan_kept
     from maniple.host.recorder import RECORDER, RecorderHost
-    from maniple.host.router import await_router, clock_of, plan_kept
     from maniple.recording.writer import RecordingWriter
 
     resolved, watch = _scenario(scenario)
@@ -290,7 +290,7 @@ def _finish(
 ) -> None:
     from maniple.cli.finish import Finisher
     from maniple.cli.nodes import time_limit_s
-    from maniple.host.router import clock_of
+    from maniple.host.joining import clock_of
 
     resolved, watch = _scenario(scenario)
     with _networks(resolved, connect, hardware, wait) as (fleet, wired):

@@ -83,7 +83,7 @@ class Order:
     """
 
     def __init__(self, session: "ZenohSession", topic: str, message: Message, timeout_s: float = 2.0) -> None:
-        from maniple.host.router import clock_of
+        from maniple.host.joining import clock_of
 
         kept = _kept(session, topic, timeout_s)
         self.incarnation = time.time_ns() if kept is None else max(time.time_ns(), kept.incarnation + 1)

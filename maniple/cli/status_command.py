@@ -118,7 +118,7 @@ def _output(as_json: bool, watch: bool) -> Iterator[Callable[[PlatoonState], Non
 
 def look(session: "ZenohSession", listener: Listener, connect: str = "") -> PlatoonState:
     """How the platoon is: listens until everybody who is there has said how it is, or has had the time to."""
-    from maniple.host.router import clock_of
+    from maniple.host.joining import clock_of
 
     clock, known = clock_of(session), nodes_known(session)
     talkers = [name for name in known.alive if name == "controller" or name in known.robots]

@@ -21,9 +21,9 @@ from maniple.core.time import MILLISECOND, Duration, Time, from_seconds
 from maniple.host.clock import Anchor
 from maniple.host.fate import Fate, Meet, meet
 from maniple.host.inbox import Arrived, Inbox, Item, Stop, Unfit
+from maniple.host.joining import restore
 from maniple.host.latched import Lives, mark_of
 from maniple.host.liveness import ROUTER, Life, Liveness
-from maniple.host.router import restore
 from maniple.host.runner import FLUSH_PERIOD, NodeRunner
 from maniple.host.virtual import timer_phase
 from maniple.transport.faulty import FaultyReceiver

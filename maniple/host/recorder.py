@@ -15,9 +15,9 @@ from maniple.core.time import Time
 from maniple.host.clock import Anchor
 from maniple.host.fate import Fate, Meet, meet, say
 from maniple.host.inbox import Arrived, Inbox, Stop, Unfit
+from maniple.host.joining import restore
 from maniple.host.latched import LatchedStore, Lives
 from maniple.host.liveness import ROUTER, Life
-from maniple.host.router import restore
 from maniple.recording.writer import RecordingWriter
 from maniple.transport.zenoh import ZenohSession
 

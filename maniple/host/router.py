@@ -6,23 +6,20 @@ joins a run what time it is there. One that starts in the middle of a run learns
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterable
 from math import inf
 
 import msgspec
 
 from maniple.core import codec, topics
-from maniple.core.envelope import Envelope
-from maniple.core.errors import MessageError, TransportError
 from maniple.core.faults import NEVER, back_at, dead, plan_of
 from maniple.core.messages import FaultPlan
 from maniple.core.scenario.types import Scenario
-from maniple.core.time import MILLISECOND, Duration
 from maniple.host.clock import Anchor
 from maniple.host.fate import Fate, Meet, meet
+from maniple.host.joining import CLOCK, HELD, SEEN, TOLD, Seen
 from maniple.host.latched import LatchedStore, Lives
 from maniple.host.liveness import ROUTER
-from maniple.transport.zenoh import ZenohSession, crc_of
+from maniple.transport.zenoh import ZenohSession
 
 PATIENCE_S = 1.5
 """How long a stopped router goes on for those who still have something to say, wall time."""
@@ -32,23 +29,6 @@ GRACE_S = 1.0
 what time it is, or begins the run; wall time."""
 
 _POLL_S = 0.05
-_ASK_S = 5.0
-_CLOCK = "clock"
-_TOLD = "@told"
-"""What hosts tell a router that came back: nothing that `**` matches."""
-_SEEN = "@told/seen"
-_HELD = "@told/held/"
-_EXACT: Duration = 50 * MILLISECOND
-_CLOCK_TRIES = 4
-
-
-class Seen(msgspec.Struct, frozen=True):
-    """What a host tells a router that came back."""
-
-    clock: str
-    """EPOCH:ELAPSED:SPEED, as `Anchor.told` says it."""
-    lives: dict[str, int]
-    """The highest incarnation of every node it has seen."""
 
 
 class Service:
@@ -86,12 +66,12 @@ class Service:
                 expression = row.pattern.replace("{id}", "*")
                 self._session.subscribe(expression, self._keep, self._unfit)
                 self._session.serve(expression, self._store.answer)
-        self._session.subscribe(f"{_TOLD}/**", self._told, self._unfit)
+        self._session.subscribe(f"{TOLD}/**", self._told, self._unfit)
         self._session.watch(self._life)
         self._session.serve("incarnation/*", self._number)
         self._session.serve("claim/*", self._claim)
         self._session.serve("claim/*/*", self._claim)
-        self._session.serve(_CLOCK, self._tell_clock)
+        self._session.serve(CLOCK, self._tell_clock)
         self._session.announce(ROUTER, 1)
 
     def plan(self) -> FaultPlan:
@@ -137,10 +117,10 @@ class Service:
 
     def _told(self, name: str, data: bytes) -> None:
         """A host tells what was before: first who has lived, then what it holds."""
-        if name == _SEEN:
+        if name == SEEN:
             self._learn(data)
         else:
-            self._restore(name.removeprefix(_HELD), data)
+            self._restore(name.removeprefix(HELD), data)
 
     def _learn(self, data: bytes) -> None:
         """Take over who has lived, and the clock of a run that is older than this router."""
@@ -215,83 +195,6 @@ def serve(session: ZenohSession, clock: Anchor | None = None, grace_s: float = 0
     service = Service(session, clock, grace_s=grace_s)
     service.start()
     return service
-
-
-def restore(session: ZenohSession, clock: Anchor, held: Iterable[Envelope], lives: Lives) -> None:
-    """Tell a router that came back what it knew, as far as it is known here."""
-    held = tuple(held)
-    for envelope in held:
-        if topics.sender_of(envelope.topic):
-            lives.seen(envelope.source, envelope.incarnation)
-    seen = msgspec.json.encode(Seen(clock.told(time.monotonic_ns()), dict(lives.all())))
-    session.put_raw(_SEEN, seen, crc_of(seen))
-    for envelope in held:
-        session.put_raw(f"{_HELD}{envelope.topic}", envelope.data, crc_of(envelope.data))
-
-
-def await_router(session: ZenohSession, patience_s: float = 2.0) -> bool:
-    """Wait until the router at the other end serves, too; False: within this time it does not, so it is a
-    router of another kind."""
-    until = time.monotonic() + patience_s
-    while not session.lives(ROUTER):
-        if time.monotonic() >= until:
-            return False
-        time.sleep(_POLL_S)
-    return True
-
-
-def claim(session: ZenohSession, node: str, wanted: int | None = None, patience_s: float = 3.5) -> int:
-    """Which life of a node starts now, as the router counts them, or this one if it is `wanted` and was not
-    there before; where nobody counts, the wanted one or 1.
-
-    One that was cut off is given `patience_s` to be missed: its lease ends within that.
-
-    Raises:
-        TransportError: the node lives, or the wanted life was there already.
-    """
-    until = time.monotonic() + patience_s
-    while lives := session.lives(node):
-        if time.monotonic() >= until:
-            raise TransportError(f"{node} is running already (incarnation {lives[-1]}): stop that one first")
-        time.sleep(_POLL_S)
-    name = f"claim/{node}" if wanted is None else f"claim/{node}/{wanted}"
-    life = int(session.ask(name, _ASK_S).get(name, str(wanted or 1).encode()))
-    if wanted not in (None, life):
-        raise TransportError(f"incarnation {wanted} of {node} was there already: the next is {life}")
-    return life
-
-
-def plan_kept(session: ZenohSession) -> FaultPlan:
-    """The fault plan that a router keeps; where it keeps none, one in which nothing happens."""
-    nothing = FaultPlan(since_ns=NEVER)
-    try:
-        plan = codec.decode(topics.PLAN, session.ask(topics.PLAN)[topics.PLAN])
-    except (KeyError, MessageError):
-        return nothing
-    return plan if isinstance(plan, FaultPlan) else nothing
-
-
-def clock_of(session: ZenohSession) -> Anchor:
-    """The clock of the run that a router belongs to, as exact as its answer is fast; where none tells it, the
-    wall clock."""
-    best: tuple[Duration, Anchor] | None = None
-    for _ in range(_CLOCK_TRIES):
-        asked = time.monotonic_ns()
-        answer = session.ask(_CLOCK, _ASK_S).get(_CLOCK)
-        took = time.monotonic_ns() - asked
-        if answer is None:
-            break
-        try:
-            clock = Anchor.learnt(answer.decode(), asked + took // 2)
-        except ValueError:
-            raise TransportError(
-                f"what tells the time there is no router of maniple: {answer[:40]!r}"
-            ) from None
-        if best is None or took < best[0]:
-            best = took, clock
-        if took < _EXACT:
-            break
-    return Anchor.here() if best is None else best[1]
 
 
 class RouterHost:

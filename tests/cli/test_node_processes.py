@@ -14,7 +14,7 @@ from maniple.core.errors import TransportError
 from maniple.core.messages import EmergencyStop, Odometry
 from maniple.core.time import SECOND
 from maniple.host.clock import Anchor
-from maniple.host.router import clock_of
+from maniple.host.joining import clock_of
 from maniple.recording.reader import read
 from maniple.transport.zenoh import ZenohSession
 from tests.cli.scenes import SMALL, start, write

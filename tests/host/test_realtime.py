@@ -31,8 +31,9 @@ from maniple.core.scenario.types import Scenario
 from maniple.core.time import SECOND, Time
 from maniple.host.clock import Anchor
 from maniple.host.fate import Death, Meet, Pause, meet
+from maniple.host.joining import clock_of
 from maniple.host.realtime import RealtimeHost
-from maniple.host.router import RouterHost, clock_of
+from maniple.host.router import RouterHost
 from maniple.transport.zenoh import MAX_BYTES, ZenohSession, crc_of
 from tests.host.nodes import Answerer, Reporter, command, scenario_with
 from tests.host.test_latched import stop

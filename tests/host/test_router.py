@@ -17,8 +17,9 @@ from maniple.core.scenario.types import Scenario
 from maniple.core.time import SECOND
 from maniple.host.clock import Anchor
 from maniple.host.fate import Death, Pause
+from maniple.host.joining import claim, clock_of, plan_kept, restore
 from maniple.host.latched import LatchedStore, Lives
-from maniple.host.router import RouterHost, claim, clock_of, plan_kept, restore, serve
+from maniple.host.router import RouterHost, serve
 from maniple.transport.zenoh import ZenohSession, crc_of
 from tests.host.nodes import scenario_with
 from tests.host.test_latched import message, stop
