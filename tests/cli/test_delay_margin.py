@@ -15,7 +15,7 @@ OPEN = ("guard.clearance=false", "guard.hold_after_s=1000", "guard.stop_after_s=
 
 @pytest.mark.parametrize(
     ("layer", "share", "holds"),
-    [("drive", 0.9, True), ("drive", 1.2, False), ("kinematics", 0.75, True)],
+    [("drive", 0.8, True), ("drive", 1.2, False), ("kinematics", 0.75, True)],
 )
 def test_a_platoon_keeps_its_shape_up_to_the_margin(
     tmp_path: Path, layer: str, share: float, holds: bool
