@@ -39,8 +39,9 @@ def delay_margin_s(scenario: Scenario, robot: Robot) -> float | None:
 
 
 def margin(first: float, second: float, lag_s: float, carried: float = 0.5) -> float:
-    """Delay margin T (s) of L(s) = (1 + carried T s) (first s + second) e^(-s T) / (s^2 (1 + lag_s s)); 0 where
-    the loop is unstable without any delay. `first` > 0 in 1/s, `second` >= 0 in 1/s^2.
+    """Delay margin T (s) of L(s) = (1 + carried T s) (first s + second) e^(-s T) / (s^2 (1 + lag_s s)).
+
+    `first` > 0 in 1/s, `second` >= 0 in 1/s^2; 0 where the loop is unstable without any delay.
 
     At each frequency one T gives L the phase -pi; the least of those with which it has the size 1.
     """
