@@ -93,7 +93,10 @@ goals = st.tuples(
 everybody = st.tuples(st.just("everybody"), metres, st.floats(-4.0, 4.0))
 some = st.tuples(st.just("some"), st.sets(robots, min_size=1) | st.just(set(IDS)), st.integers(1, 40))
 ticks = st.tuples(st.just("tick"), st.sampled_from((0, 1, 100, 100, 100, 700, 4000)))
-events = st.one_of(odometries, scans, statuses, lives, goals, everybody, some, some, some, ticks)
+restarts = st.tuples(
+    st.just("restart"), st.sets(st.sampled_from((topics.FORMATION_STATE, topics.FORMATION_MISSION)))
+)
+events = st.one_of(odometries, scans, statuses, lives, goals, everybody, some, some, some, ticks, restarts)
 
 
 def scenario(draw: st.DrawFn) -> Scenario:
@@ -165,6 +168,9 @@ class Platoon:
     """Feeds a controller, and looks at everything it says."""
 
     def __init__(self, made: Scenario) -> None:
+        self.made = made
+        self.life = 1
+        self.last: dict[str, Any] = {}
         self.node = CentralController(made)
         self.layer: Layer = made.placement.robot_from
         self.now = 1000 * SECOND
@@ -192,6 +198,8 @@ class Platoon:
         commands = [said for said in rest if said.topic != topics.FORMATION_MISSION]
         for _, mission in rest[len(commands) :]:
             assert codec.decode(topics.FORMATION_MISSION, codec.encode(mission)) == mission
+            self.last[topics.FORMATION_MISSION] = replace(mission, incarnation=self.life)
+        self.last[topics.FORMATION_STATE] = replace(state, incarnation=self.life)
         assert topic == topics.FORMATION_STATE
         assert isinstance(state, FormationState)
         assert codec.decode(topic, codec.encode(state)) == state
@@ -207,7 +215,8 @@ class Platoon:
         )
         told = [topic.split("/")[1] for topic, _ in commands]
         assert len(set(told)) == len(told)
-        assert set(told) == (set(state.chain) if state.phase != "waiting" else set())
+        nobody = state.phase == "waiting" or state.reason.startswith("the controller was started again")
+        assert set(told) == (set() if nobody else set(state.chain))
         for topic, command in commands:
             assert isinstance(command, Command)
             assert codec.decode(topic, codec.encode(command)) == command
@@ -230,6 +239,8 @@ class Platoon:
             case "goal", mark, task, shape, hold:
                 self.say(topics.FORMATION_GOAL, Goal(id=f"g{mark}", task=task, formation=shape, hold=hold))
                 self.tick(0)
+            case "restart", kept:
+                self.restart(kept)
             case "everybody", x, psi:
                 self.everybody(IDS, x, psi)
             case "some", names, count:
@@ -238,6 +249,17 @@ class Platoon:
                     self.tick(200)
             case "tick", after_ms:
                 self.tick(after_ms)
+
+    def restart(self, kept: set[str]) -> None:
+        """The next life is told what is `kept` of the last words."""
+        self.life += 1
+        self.node = CentralController(self.made, incarnation=self.life)
+        assert self.node.on_start(self.now) == []
+        for name in kept & self.last.keys():
+            self.say(name, self.last[name])
+        self.now += SECOND
+        sent = self.node.on_timer(CONTROL, self.now)
+        self.state = self.check(sent)
 
     def everybody(self, names: tuple[str, ...], x: float = 0.0, psi: float = 0.0) -> None:
         for name in names:

@@ -5,7 +5,7 @@ import pytest
 from msgspec.structs import replace
 from numpy.testing import assert_allclose
 
-from central_controller.lineup import Lineup
+from central_controller.lineup import Lineup, fitted
 from central_controller.planning import METHODS
 from central_controller.reference import REST, Reference
 from maniple.core.geometry import Pose
@@ -118,6 +118,33 @@ def test_the_ways_move_with_the_formation_and_their_velocities_are_their_derivat
     x, y, psi = (a + step * b for a, b in zip(HERE.pose, moving, strict=True))
     later, _ = one.ways_at(Reference(Pose(x, y, psi), moving))
     assert_allclose((later - points) / step, velocities, atol=1e-5)
+
+
+def test_another_one_goes_on_with_the_places_and_the_building() -> None:
+    one, other = lineup("optimal"), lineup("optimal")
+    one.plan(at_places((3, 0, 5, 1, 2, 4)))
+    one.chain_up([name for name in IDS if name != "r4"])
+    one.build({name: (x - 1.0, 0.5 * y) for name, (x, y) in at_places().items()}, 0.1)
+    one.advance(2.0)
+    places = {name: one.place_of(name) for name in IDS}
+    other.recall(places, one.robots, one.built_from, one.built_s, 0.1)
+    for _ in range(1000):
+        assert (other.robots, other.building, other.built_s) == (one.robots, one.building, one.built_s)
+        assert_allclose(other.points, one.points)
+        one.advance(0.1)
+        other.advance(0.1)
+    assert (one.built_from, one.built_s) == ((), 0.0)
+    other.recall(places, IDS, (), 0.0, 0.1)
+    assert not other.building
+    assert other.place_of("r4") == 1
+
+
+def test_the_frame_that_fits_is_where_it_was_put() -> None:
+    places = np.array(POINTS)
+    for frame in (Pose(0.0, 0.0, 0.0), Pose(3.0, -1.0, 2.5), Pose(-1.0, 4.0, -3.0)):
+        assert fitted(placed(POINTS, frame), places) == pytest.approx(frame)
+    off = placed(POINTS, HERE.pose) + np.random.default_rng(1).normal(scale=0.1, size=(6, 2))
+    assert fitted(off, places) == pytest.approx(HERE.pose, abs=0.15)
 
 
 def test_exchanged_robots_have_each_others_places() -> None:

@@ -69,6 +69,22 @@ def test_positioning_ends_when_all_were_there_for_long_enough_without_a_break() 
     assert one.reference(1.0).pose == pytest.approx(STAND.target)
 
 
+def test_another_one_goes_on_from_its_progress() -> None:
+    one, other = (mission(Sequence(tasks=(LINE, STAND))) for _ in range(2))
+    for k in range(140):
+        one.advance(TICK, 0.9, errors(0.01 if k > 135 else 0.5))
+    other.recall(one.progress, ended=False)
+    while not one.ended:
+        assert (other.leg, other.time_s, other.ended) == (one.leg, one.time_s, False)
+        assert other.reference(0.5) == one.reference(0.5)
+        for each in (one, other):
+            each.advance(TICK, 1.0, errors(0.01))
+    assert other.ended
+    third = mission(Sequence(tasks=(LINE, STAND)))
+    third.recall(one.progress, ended=True)
+    assert (third.ended, third.time_s) == (True, one.time_s)
+
+
 def test_from_here_a_straight_way_leads_to_the_start() -> None:
     here = Pose(-3.0, 1.0, 2.5)
     task = from_here(LINE, here, 0.1, 2.0)

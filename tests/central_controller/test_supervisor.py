@@ -14,6 +14,7 @@ from central_controller.formation import Gains
 from central_controller.reference import REST
 from central_controller.supervisor import AIM, Guided, Supervisor, exchange
 from maniple.core.geometry import Floats, Pose
+from maniple.core.messages import Led
 from maniple.core.scenario import types
 from maniple.core.scenario.shapes import points
 from maniple.core.streams import stream
@@ -221,6 +222,26 @@ def test_it_lets_go_later_than_it_begins() -> None:
     assert acts(0.2 * AIM, -0.1)
     assert not acts(0.2 * AIM, 0.1)
     assert not acts(0.22, -0.1)
+
+
+def test_the_next_one_goes_on_with_what_is_acted_on() -> None:
+    """Between margin and release only who has acted before still acts."""
+    shape = np.array(points("column", 3, 1.5))
+    names = ("a", "b", "c")
+    old, new, fresh = (Supervisor(types.Supervisor(margin_m=0.2), names=names) for _ in range(3))
+    x, wanted = shape.copy(), np.zeros((3, 2))
+    away = np.array([0.6, 0.8])
+    x[2], wanted[2] = 2 * shape[0] - shape[1] + 0.38 * away, -0.1 * away
+    assert old.step(x, shape, wanted).notes
+    (led,) = old.memory
+    assert (led.kind, led.triangle, led.robot, abs(led.way)) == ("median", 0, 2, 1.0)
+    new.recall([led, Led("median", 5, 2, 1.0), Led("q", 0, 9, 1.0), Led("what", 0, 2, 1.0)])
+    assert new.memory == (led,)
+    x[2] += 0.06 * away
+    one, other = (supervisor.step(x, shape, wanted) for supervisor in (old, new))
+    assert_array_equal(one.velocities, other.velocities)
+    assert one.notes == other.notes != ()
+    assert fresh.step(x, shape, wanted).notes == ()
 
 
 def test_it_does_nothing_when_it_is_off() -> None:
