@@ -2,6 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
+COMPOSE = $(shell docker compose version >/dev/null 2>&1 && echo docker compose || echo docker-compose)
 LOCK = .venv/lock/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
 	--no-annotate --custom-compile-command "make lock"
 
@@ -27,7 +28,8 @@ bench: .venv/installed
 
 # The platoon in containers; the recording is yours.
 docker:
-	MANIPLE_USER=$$(id -u):$$(id -g) docker compose up --build
+	$(COMPOSE) build router
+	MANIPLE_USER=$$(id -u):$$(id -g) $(COMPOSE) up
 
 # Newer versions of what the image holds.
 lock: .venv/installed
