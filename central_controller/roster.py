@@ -91,17 +91,20 @@ class Member:
         self._back_at: Time | None = None
         self._back_after = BACK_AFTER
         self._cause = ("", "")
+        self._seen: tuple[Time, Duration | None, Presence] | None = None
         self._stale_after = from_seconds(topics.topic(topics.odometry(robot.id)).stale_after_s)
         self.limit(limits or AgeLimits())
 
     def limit(self, limits: AgeLimits) -> None:
         """How old its commands may be from here on."""
+        self._seen = None
         self._limits = limits
         self._late_after = max(from_seconds(limits.hold_s), self._stale_after)
         self._silent_after = max(from_seconds(limits.stop_s), self._stale_after)
 
     def heard(self, message: Message, now: Time) -> None:
         """One of the robot's own messages arrived, or news of its life."""
+        self._seen = None
         if isinstance(message, Odometry):
             if self._believes(message):
                 self._take(message, now)
@@ -143,6 +146,7 @@ class Member:
     def locate(self) -> None:
         """From now on a life is believed whose odometry frame is known: the present one, which began at the
         initial pose of the scenario, and a later one that says it has resumed that frame."""
+        self._seen = None
         if self.odometry is not None:
             self._located, self._frame_id = self.odometry.incarnation, self.odometry.frame_id
 
@@ -152,6 +156,7 @@ class Member:
 
     def recall(self, seat: Seat) -> None:
         """Go on with what the life of the controller before this one knew."""
+        self._seen = None
         self._located, self._frame_id = seat.incarnation or None, seat.frame_id or None
         self.lost = seat.lost
         if self.odometry is not None and not self._believes(self.odometry):
@@ -159,7 +164,7 @@ class Member:
 
     def odometry_age(self, now: Time) -> Duration | None:
         """Since its odometry was sent."""
-        return None if self.odometry is None else self._clock.age(self.odometry.stamp_ns, now)
+        return self._look(now)[1]
 
     def returns_age(self, now: Time) -> Duration:
         """Since what it senses was sent; all of time where nothing has come."""
@@ -170,11 +175,21 @@ class Member:
 
     def presence(self, now: Time) -> Presence:
         """Whether it is there, and heard."""
+        return self._look(now)[2]
+
+    def _look(self, now: Time) -> tuple[Time, Duration | None, Presence]:
+        """The age of its odometry and its presence, once for each moment."""
+        if self._seen is None or self._seen[0] != now:
+            odometry = self.odometry
+            age = None if odometry is None else self._clock.age(odometry.stamp_ns, now)
+            self._seen = now, age, self._presence(age)
+        return self._seen
+
+    def _presence(self, age: Duration | None) -> Presence:
         if not self._alive:
             return "absent"
         if self._located not in (None, self._incarnation) or not self._localised:
             return "unlocalised"
-        age = self.odometry_age(now)
         return "silent" if age is None or age > self._silent_after else "present"
 
     def fit(self, now: Time) -> bool:
@@ -210,14 +225,13 @@ class Member:
 
     def _hindrance(self, now: Time) -> tuple[str, str]:
         """What kind of reason there is to wait for it, and in words."""
-        presence, odometry, limits = self.presence(now), self.odometry, self._limits
+        (_, age, presence), limits = self._look(now), self._limits
         if presence == "absent":
             return presence, "it is not there"
         if presence == "unlocalised":
             return presence, "it does not know where it is"
-        if odometry is None:
+        if age is None:
             return "unheard", "it was not heard yet"
-        age = self._clock.age(odometry.stamp_ns, now)
         if age > self._late_after:
             if now - self._odometry_at > self._late_after:
                 return "silent", "it is not heard"
@@ -252,10 +266,9 @@ class Member:
     def view(self, now: Time) -> View | None:
         """Where it is, its last odometry carried forward to `now` for no longer than that is worth anything;
         None before the first."""
-        odometry = self.odometry
-        if odometry is None:
+        odometry, age = self.odometry, self.odometry_age(now)
+        if odometry is None or age is None:
             return None
-        age = self._clock.age(odometry.stamp_ns, now)
         own = propagated(odometry, to_seconds(min(age, self._silent_after)))
         answers = Stamp(odometry.incarnation, odometry.seq, odometry.stamp_ns)
         velocity = Velocity(odometry.u_mps, odometry.w_radps, odometry.v_mps)
