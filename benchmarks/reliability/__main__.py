@@ -37,7 +37,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             done = run(CASES, Path(folder), asked.speed)
             found += Analysis(done).found(done.events)
-    text = f"{table(found)}\n{about(asked.rounds, asked.speed)}\n"
+    text = f"{table(found)}\n{about(asked.rounds, asked.speed)}"
     print(text)
     if asked.write:
         DOC.write_text(with_part(DOC.read_text(), text))
