@@ -55,6 +55,7 @@ def router() -> Iterator[tuple[str, ZenohSession]]:
     with ZenohSession.router(address, "maniple") as opened:
         serve(opened, Anchor(BEGAN_S * SECOND, time.monotonic_ns(), 1.0))
         with ZenohSession.client(address, "maniple") as session:
+            session.announce("controller", STATE.incarnation)
             session.put(topics.FORMATION_STATE, codec.encode(STATE))
             eventually(lambda: latched(session, topics.FORMATION_STATE))
             yield address, session
