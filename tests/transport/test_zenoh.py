@@ -141,7 +141,9 @@ def test_who_has_sent_a_crc_once_is_not_believed_without(endpoint: str) -> None:
     heard: SimpleQueue[tuple[str, str]] = SimpleQueue()
     name = "robot/r1/odometry"
     with ZenohSession.client(endpoint, "test") as ear, ZenohSession.client(endpoint, "test") as mouth:
-        ear.subscribe(name, lambda _, data: heard.put(("", data.decode())), lambda *why: heard.put(why), lambda _: True)
+        ear.subscribe(
+            name, lambda _, data: heard.put(("", data.decode())), lambda *why: heard.put(why), lambda _: True
+        )
         ear.settle()
         for data, crc in (
             (b"first", None),
