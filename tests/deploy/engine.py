@@ -225,9 +225,10 @@ class Compose:
         return told(command, 60.0, self._environment)
 
     def states(self) -> dict[str, Any]:
-        """What the engine says of every container, by node."""
-        label = f"label=com.docker.compose.project={self.name}"
-        ids = self.docker("ps", "--all", "--quiet", "--filter", label).split()
+        """What the engine says of every container, by node; those of `shell` come and go."""
+        labels = (f"com.docker.compose.project={self.name}", "com.docker.compose.oneoff=False")
+        filters = [word for label in labels for word in ("--filter", f"label={label}")]
+        ids = self.docker("ps", "--all", "--quiet", *filters).split()
         found = json.loads(self.docker("inspect", *ids)) if ids else []
         return {one["Name"].removeprefix(f"/{self.name}-"): one["State"] for one in found}
 
