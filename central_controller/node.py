@@ -119,6 +119,7 @@ class CentralController:
         self._unknown = ""
         self._anew = False
         self._gathering = False
+        self._meanwhile: Goal | None = None
         self._number = 0
         self._told: messages.Mission | None = None
         self._goal = self._goal_refused = ""
@@ -358,9 +359,13 @@ class CentralController:
         return points
 
     def _take(self, goal: Goal, now: Time) -> None:
-        """Do what the operator wants, or say why not. The latched goal comes again to whoever asks."""
+        """Do what the operator wants, or say why not. The latched goal comes again to whoever asks. The last
+        that comes while the robots are gathered is done once they are: a new shape needs all of them."""
         if self._former is not None and not self._unknown:
             self._former.heard(goal)
+            return
+        if self._gathering:
+            self._meanwhile = goal
             return
         if goal.id == self._goal:
             return
@@ -473,6 +478,8 @@ class CentralController:
         self._gathering = False
         if {member.id for member in self._roster.active} != set(self._lineup.robots):
             self._reorganise(now)
+        if self._meanwhile is not None:
+            self._take(self._meanwhile, now)
 
     def _views(self, now: Time) -> dict[str, View]:
         """Every robot that is there as the law sees it; those not heard yet are left out."""

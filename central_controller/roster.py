@@ -86,6 +86,7 @@ class Member:
         self._located: int | None = None
         self._frame_id: str | None = None
         self._localised = True
+        self._localised_from = (0, 0)
         self._fit_since: Time | None = None
         self._unfit_since: Time | None = None
         self._back_at: Time | None = None
@@ -115,17 +116,30 @@ class Member:
             self.mode, self.reason = message.mode, message.reason
             self.held_back = message.guard in ("age", "clearance", "blind")
             self._command_age_s = message.command_age_s
-            self._localised = message.localised
-            if self._located is not None and message.localised:
-                self._located = max(self._located, message.incarnation)
+            self._hear_where(message)
         elif isinstance(message, Alive):
             self._life(message.node_incarnation, message.alive)
 
     def _life(self, incarnation: int, alive: bool) -> None:
-        """Newer lives replace older ones, whose ends may be heard of late."""
+        """Newer lives replace older ones, whose ends may be heard of late. A later one than the first has yet
+        to say whether it knows where its frame lies."""
+        if incarnation > self._incarnation:
+            self._localised = incarnation in (1, self._located)
         if incarnation >= self._incarnation:
             self._incarnation = incarnation
             self._alive = alive
+
+    def _hear_where(self, status: Status) -> None:
+        """It says whether it knows where its frame lies. What it said before it did was in another frame."""
+        if status.incarnation < self._incarnation:
+            return
+        if status.localised and self._located is not None:
+            self._located = max(self._located, status.incarnation)
+        elif status.localised and not self._localised:
+            self._localised_from = status.incarnation, status.stamp_ns
+            if self.odometry is not None and not self._believes(self.odometry):
+                self.odometry = None
+        self._localised = status.localised
 
     def _take(self, odometry: Odometry, now: Time) -> None:
         if self.odometry is None or self.odometry.incarnation != odometry.incarnation:
@@ -136,7 +150,9 @@ class Member:
 
     def _believes(self, odometry: Odometry) -> bool:
         """Whether it is given in the frame that is known."""
-        return self._located in (None, odometry.incarnation) and self._frame_id in (None, odometry.frame_id)
+        if self._located is None:
+            return (odometry.incarnation, odometry.stamp_ns) >= self._localised_from
+        return odometry.incarnation == self._located and self._frame_id in (None, odometry.frame_id)
 
     def free(self, now: Time) -> bool:
         """Whether what its odometry shows is what its drive made of what it was told."""
@@ -158,6 +174,7 @@ class Member:
         """Go on with what the life of the controller before this one knew."""
         self._seen = None
         self._located, self._frame_id = seat.incarnation or None, seat.frame_id or None
+        self._localised = self._localised or self._incarnation == self._located
         self.lost = seat.lost
         if self.odometry is not None and not self._believes(self.odometry):
             self.odometry = None

@@ -118,8 +118,9 @@ class Driver:
         for robot in self.ids:
             self.say(topics.ranges(robot), scans.get(robot, scan()))
 
-    def mode(self, robot: str, mode: Mode, guard: str = "none") -> None:
+    def mode(self, robot: str, mode: Mode, guard: str = "none", incarnation: int = 1) -> None:
         status = Status(
+            incarnation=incarnation,
             mode=mode,
             guard=guard,
             command_age_s=-1.0,

@@ -361,6 +361,10 @@ def test_before_the_task_a_later_life_of_a_robot_replaces_an_earlier_one() -> No
     driver.say(topics.odometry("r2"), odometry())
     driver.say(topics.HOST_ALIVE, Alive(node="r2", node_incarnation=2, alive=True))
     driver.odometries({"r2": replace(odometry(), incarnation=2)})
+    _, state = driver.tick()
+    assert (state.phase, state.roster[1].state) == ("waiting", "unlocalised")
+    driver.mode("r2", "waiting", incarnation=2)
+    driver.odometries({"r2": replace(odometry(), incarnation=2)})
     commands, state = driver.tick()
     assert state.phase == "running"
     assert commands["r2"].answers.incarnation == 2

@@ -185,6 +185,32 @@ def test_where_the_record_is_missing_it_holds_until_a_goal_comes(kept: tuple[str
     assert min(math.dist(pose, (0.0, 0.0)) for pose in poses) < 0.02
 
 
+@pytest.mark.parametrize("when", ["before the record", "after it"])
+def test_a_new_shape_waits_for_the_robots(when: str) -> None:
+    """One of which was started again, too, and has not said where it is."""
+    made = scenario()
+    old = Driver(made)
+    old.odometries()
+    _, state = go_on(old, 20)
+    new = Driver(made, now=old.now, incarnation=2)
+    new.node.on_start(new.now)
+    shape = GOALS["another shape"]
+    if when == "before the record":
+        new.say(topics.FORMATION_GOAL, shape)
+    for message in left_by(old, state):
+        kind = topics.FORMATION_MISSION if isinstance(message, Mission) else topics.FORMATION_STATE
+        new.say(kind, message)
+    _, first = new.tick(100)
+    if when == "after it":
+        new.say(topics.FORMATION_GOAL, shape)
+    assert (first.phase, first.goal) == ("holding", "")
+    new.odometries({**OFF, "r2": replace(odometry(), incarnation=2)})
+    commands, held = new.tick(100)
+    assert (commands, held.phase, held.goal, held.points) == ({}, "holding", "", state.points)
+    _, gone_on = go_on(new, 1)
+    assert (gone_on.phase, gone_on.goal, gone_on.goal_refused) == ("running", "g", "")
+
+
 def test_a_record_that_comes_late_is_believed_all_the_same() -> None:
     made = scenario()
     old = Driver(made)

@@ -54,9 +54,9 @@ def scan() -> Scan:
         ([alive(1, True), odometry()], 0, "present"),
         ([odometry(), alive(1, False)], 0, "absent"),
         ([odometry(), alive(1, False), alive(1, True)], 0, "present"),
-        ([odometry(1), alive(2, True), alive(1, False)], 0, "present"),
+        ([odometry(1), alive(2, True), alive(1, False)], 0, "unlocalised"),
         ([odometry(1), alive(1, False), odometry(2)], 0, "absent"),
-        ([odometry(2), alive(2, True), alive(1, False)], 0, "present"),
+        ([odometry(2), alive(2, True), alive(1, False)], 0, "unlocalised"),
     ],
 )
 def test_presence(history: list[Message], after_ms: int, presence: Presence) -> None:
@@ -133,6 +133,23 @@ def test_before_the_task_too_a_robot_may_not_know_where_its_frame_is() -> None:
     for message in (alive(2, True), status(2, localised=False), odometry(2)):
         member.heard(message, T0)
     assert member.presence(T0) == "unlocalised"
+
+
+def test_before_the_task_what_a_later_life_said_before_it_knew_its_frame_is_not_believed() -> None:
+    """However late the word comes that it knows, and whatever that overtakes."""
+    member = Member(ROBOT)
+    member.heard(alive(2, True), T0)
+    member.heard(odometry(2, frame="r1/2"), T0)
+    assert member.presence(T0) == "unlocalised"
+    member.heard(status(1), T0)
+    assert member.presence(T0) == "unlocalised"
+    member.heard(replace(status(2), stamp_ns=5 + SECOND), T0 + SECOND)
+    member.heard(odometry(2, frame="r1/2", now=T0 + SECOND // 2), T0 + SECOND)
+    assert member.presence(T0 + SECOND) == "silent"
+    member.heard(odometry(2, now=T0 + SECOND), T0 + SECOND)
+    assert member.presence(T0 + SECOND) == "present"
+    member.locate()
+    assert member.seat(0) == Seat("r1", 0, 2, "r1", False)
 
 
 def platoon(n: int = 3) -> Roster:
