@@ -75,7 +75,7 @@ def draw(plot: Plot, table: Table) -> Figure:
             _draw_curve(axes, curve(table, plot, runs), index)
             edges |= _draw_edges(axes, plot, table, runs, style.INK if alike else style.look(index)["color"])
         if plot.facets:
-            axes.set_title(shown(panel))
+            axes.set_title(panel if isinstance(panel, str) else f"{plot.facets} {shown(panel)}")
     _label(plot, grid, len(panels))
     _scale(plot, grid[0][0], table)
     style.legend(figure, list(_rows(plot, lines, edges)), len(lines) + 2)

@@ -71,7 +71,7 @@ def test_levels_come_in_the_order_of_the_runs() -> None:
 
 def test_a_panel_for_each_facet_and_a_line_for_each_of_the_series() -> None:
     figure = draw(PLOT, table())
-    assert [axes.get_title() for axes in figure.axes] == ["0", "0.3", "0.6"]
+    assert [axes.get_title() for axes in figure.axes] == ["loss 0", "loss 0.3", "loss 0.6"]
     for axes in figure.axes:
         marked = [line for line in axes.get_lines() if line.get_marker() != "None"]
         assert len(marked) == 2
