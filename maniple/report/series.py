@@ -15,10 +15,13 @@ from maniple.control.limits import age_limits
 from maniple.core import topics
 from maniple.core.envelope import header_of
 from maniple.core.errors import MessageError
+from maniple.core.faults import plan_of
 from maniple.core.geometry import Floats, Pose
 from maniple.core.messages import (
     Decisions,
     Drive,
+    EmergencyStop,
+    FaultPlan,
     FormationState,
     Goal,
     Journal,
@@ -146,7 +149,8 @@ def series_of(recording: Recording) -> Series:
     Raises:
         RecordingError: it is damaged, or its scenario can't be read.
     """
-    reader = _Reader(recording.scenario, epoch_of(recording))
+    virtual = recording.metadata.get("mode") == "virtual"
+    reader = _Reader(recording.scenario, epoch_of(recording), virtual)
     for record in recording.messages():
         reader.add(record)
     return reader.series()
@@ -155,7 +159,7 @@ def series_of(recording: Recording) -> Series:
 class _Reader:
     """Gathers messages, then makes arrays of them."""
 
-    def __init__(self, scenario: Scenario, epoch: Time) -> None:
+    def __init__(self, scenario: Scenario, epoch: Time, virtual: bool) -> None:
         self._scenario = scenario
         self._ids = tuple(robot.id for robot in scenario.robots)
         self._summary = Summary(scenario, epoch)
@@ -167,6 +171,9 @@ class _Reader:
         self._drives: defaultdict[str, Samples] = defaultdict(lambda: Samples(3))
         self._statuses: defaultdict[str, list[Status]] = defaultdict(list)
         self._goals: list[Goal] = []
+        self._stops: list[EmergencyStop] = []
+        self._plans: list[FaultPlan] = []
+        self._unsaid = [plan_of(scenario, epoch)] if virtual else []
         self._unreadable: Counter[str] = Counter()
         self._handlers: dict[type[Message], Callable[[Any], None]] = {
             Truth: self._truth.append,
@@ -175,6 +182,8 @@ class _Reader:
             Drive: lambda m: self._drives[m.source].add(m.stamp_ns, (m.u_mps, m.w_radps, m.v_mps)),
             Status: lambda m: self._statuses[m.source].append(m),
             Goal: self._goals.append,
+            EmergencyStop: self._stops.append,
+            FaultPlan: self._plans.append,
             Journal: self._delivery.journal,
             Decisions: self._delivery.decisions,
         }
@@ -184,7 +193,8 @@ class _Reader:
         try:
             row = topics.topic(record.topic)
             if row.faults:
-                self._delivery.sent(record.topic, header_of(record.topic, record.data))
+                header = header_of(record.topic, record.data)
+                self._delivery.sent(record.topic, self._true_time.header(header))
             if row.type is Scan:
                 return
             message = record.decode()
@@ -234,7 +244,15 @@ class _Reader:
             contacts=_contacts(self._truth, begin),
             links=tuple(self._delivery.links.links()),
             shares=self._delivery.shares(begin),
-            events=events_of(self._states, self._goals, _contacts(self._truth, begin), begin),
+            events=events_of(
+                self._states,
+                self._goals,
+                _contacts(self._truth, begin),
+                begin,
+                self._stops,
+                self._plans or self._unsaid,
+                end,
+            ),
             task_share=min(counted[0], 1.0) if counted else 0.0,
             last_state=self._states[-1] if self._states else None,
             unreadable=dict(sorted(self._unreadable.items())),

@@ -3,6 +3,7 @@
 from msgspec.structs import replace
 
 from maniple.core.clocks import node_clock
+from maniple.core.envelope import Header
 from maniple.core.messages import Decisions, Journal, Message
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import VIRTUAL_EPOCH, Time
@@ -22,6 +23,11 @@ class TrueTime:
         if clock is None or isinstance(message, Journal | Decisions):
             return message
         return replace(message, stamp_ns=clock.true(message.stamp_ns))
+
+    def header(self, header: Header) -> Header:
+        """The same for what identifies a message."""
+        clock = self._clocks.get(header.source)
+        return header if clock is None else replace(header, stamp_ns=clock.true(header.stamp_ns))
 
 
 def epoch_of(recording: Recording) -> Time:

@@ -1,5 +1,6 @@
-from maniple.core.messages import FormationState, Goal, RobotReport
-from maniple.core.scenario.types import Formation, Line
+from maniple.core.messages import EmergencyStop, FaultPlan, FormationState, Goal, RobotReport
+from maniple.core.plans import BLANK
+from maniple.core.scenario.types import Crash, Fault, Formation, Freeze, Line, Partition
 from maniple.core.time import SECOND
 from maniple.report.timeline import Span, events_of, spans_of
 
@@ -75,3 +76,57 @@ def test_changes_are_events() -> None:
         (6.5, "goal: task line"),
         (7.0, "goal accepted"),
     ]
+
+
+def at(t_s: float) -> int:
+    return round(t_s * SECOND)
+
+
+def told(*plans: FaultPlan, end_s: float = 100) -> list[tuple[float, str]]:
+    return [(event.t, event.what) for event in events_of([], [], [], at(5), (), plans, at(5 + end_s))]
+
+
+def test_faults_begin_when_they_are_planned() -> None:
+    plan = FaultPlan(
+        since_ns=at(5),
+        faults=(Fault(source="r3", loss=0.1, windows=((10, 20), (30, 35))), Fault(latency_s=0.1), BLANK),
+        partitions=(Partition(groups=(("r1", "r2"), ("r3",)), at_s=40, for_s=4),),
+        crashes=(
+            Crash(node="controller", at_s=50, restart_after_s=3),
+            Crash(node="r4", at_s=60),
+            Crash(node="r5", at_s=200),
+        ),
+        freezes=(Freeze(node="r2", at_s=55, for_s=2),),
+    )
+    assert told(plan) == [
+        (0.0, "fault rule 1, from * to *, topic *"),
+        (10.0, "fault rule 0, from r3 to *, topic *, for 10 s"),
+        (30.0, "fault rule 0, from r3 to *, topic *, for 5 s"),
+        (40.0, "partition r1,r2 | r3 | all others for 4 s"),
+        (50.0, "controller is killed, back after 3 s"),
+        (55.0, "r2 is frozen for 2 s"),
+        (60.0, "r4 is killed"),
+    ]
+
+
+def test_a_changed_plan_takes_back_what_has_not_begun() -> None:
+    rule, crash = Fault(loss=0.1), Crash(node="r4", at_s=30)
+    plans = [
+        FaultPlan(since_ns=at(5), stamp_ns=at(5), crashes=(crash,)),
+        FaultPlan(since_ns=at(5), stamp_ns=at(15), faults=(rule,)),
+        FaultPlan(since_ns=at(5), stamp_ns=at(16), faults=(rule,)),
+        FaultPlan(since_ns=at(5), stamp_ns=at(20), faults=()),
+        FaultPlan(since_ns=at(5), stamp_ns=at(45), faults=(rule,), crashes=(crash,)),
+    ]
+    what = "fault rule 0, from * to *, topic *"
+    assert told(*plans) == [(10.0, what), (40.0, what), (40.0, "r4 is killed")]
+
+
+def test_an_emergency_stop_is_told_once() -> None:
+    stops = [
+        EmergencyStop(stopped=True, reason="x", source="operator", incarnation=7, seq=seq, stamp_ns=at(2))
+        for seq in range(2)
+    ]
+    stops.append(EmergencyStop(stopped=False, source="operator", incarnation=8, stamp_ns=at(4)))
+    events = events_of([], [], [], at(1), stops)
+    assert events == ((1.0, "emergency stop: x"), (3.0, "armed"))

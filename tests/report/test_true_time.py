@@ -3,6 +3,7 @@
 import msgspec
 
 from maniple.core.clocks import NodeClock
+from maniple.core.envelope import Header
 from maniple.core.messages import EmergencyStop, Journal
 from maniple.core.time import SECOND, VIRTUAL_EPOCH
 from maniple.report.true_time import TrueTime
@@ -19,6 +20,8 @@ def test_what_was_said_is_set_back_to_when_it_was_said() -> None:
     assert abs(true_time.of(message).stamp_ns - said) <= 1
     other = msgspec.structs.replace(message, source="controller")
     assert true_time.of(other) is other
+    assert abs(true_time.header(Header("r1", 1, 2, clock.shown(said))).stamp_ns - said) <= 1
+    assert true_time.header(Header("r2", 1, 2, said)).stamp_ns == said
 
 
 def test_journals_stay_as_they_are() -> None:
