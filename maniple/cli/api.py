@@ -88,7 +88,7 @@ def run(
     With `virtual` all nodes run in this process in virtual time, else each in a process of its own over
     Zenoh at `speed` times the wall clock. An existing `log` is not overwritten; by default a new file in
     `logs/`. With `keep_alive` every process but the simulator that dies is started again. `on_notice` gets a
-    line for each process that dies, freezes or comes back.
+    line for each process that dies, freezes or comes back, and for what can't happen in virtual time.
 
     Raises:
         ArgumentError: speed or duration is not valid, or there are no processes to keep alive.
@@ -105,7 +105,7 @@ def run(
     unrecorded = 0
     if virtual:
         metadata = describe_machine(resolved, "virtual")
-        outcome = run_virtual(resolved, path, metadata, duration_s, on_progress)
+        outcome = run_virtual(resolved, path, metadata, duration_s, on_progress, on_notice)
     else:
         outcome = run_realtime(resolved, path, speed, duration_s, on_progress, on_notice, keep_alive)
         unrecorded = missing(recordings_of(outcome.logs))

@@ -94,10 +94,14 @@ def requirement_of(line: str) -> Requirement | None:
 
 def packages(asked: Sequence[Requirement], version: Callable[[str], str | None]) -> Iterator[Check]:
     """Every package, and whether it is new enough; those of optional parts may be absent."""
+    there: set[Requirement] = set()
     for one in asked:
         found = version(one.package)
         if found is not None and _numbers(found) >= _numbers(one.least):
-            yield Check(one.package, "ok", found)
+            same = msgspec.structs.replace(one, extra="")
+            if same not in there:
+                yield Check(one.package, "ok", found)
+            there.add(same)
         elif one.extra:
             advice = f"for {one.extra}: pip install 'maniple[{one.extra}]'"
             yield Check(one.package, "poor", found or "absent", advice)

@@ -239,7 +239,10 @@ def _change(change: Change, connect: str, prefix: str, as_json: bool, timeout_s:
         robots = nodes_known(session).robots
         before = plan_problems(plan, robots)
         if found := [text for text in plan_problems(changed, robots) if text not in before]:
-            raise ArgumentError("\n".join(map(_by_option, found)))
+            unknown = (
+                [] if robots else ["no robot is known there yet: neither one nor a controller was heard of"]
+            )
+            raise ArgumentError("\n".join([*map(_by_option, found), *unknown]))
         publish(session, topics.PLAN, changed, timeout_s)
         _say(_planned(session), clock.now(), as_json)
 
@@ -260,6 +263,7 @@ def _say(plan: FaultPlan | None, now: int, as_json: bool) -> None:
 _OPTIONS = (
     (re.compile(r"^faults\[\d+\]\.source"), "--from"),
     (re.compile(r"^faults\[\d+\]\.destination"), "--to"),
+    (re.compile(r"^faults\[\d+\]\.windows\[\d+\]"), "--window"),
     (re.compile(r"^faults\[\d+\]\.(\w+?)(_s)?\b"), r"--\1"),
 )
 

@@ -1,6 +1,6 @@
 """A run in virtual time, in this process."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from maniple.cli.interrupt import on_interrupt
@@ -10,6 +10,7 @@ from maniple.cli.progress import Progress, ProgressWatch
 from maniple.core import codec
 from maniple.core.envelope import Envelope
 from maniple.core.messages import FormationState
+from maniple.core.scenario.check_faults import PROCESSES
 from maniple.core.scenario.parse import to_json
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import Time, from_seconds
@@ -24,12 +25,15 @@ def run_virtual(
     metadata: Mapping[str, str],
     duration_s: float | None,
     on_progress: Callable[[Progress], None],
+    on_notice: Callable[[str], None] = lambda _: None,
 ) -> Outcome:
-    """Run to the end of the task, or of `duration_s`.
+    """Run to the end of the task, or of `duration_s`; `on_notice` gets what the scenario asks for in vain.
 
     Raises:
         RecordingError: the recording can't be written.
     """
+    for notice in _without_process(scenario):
+        on_notice(notice)
     summary = Summary(scenario)
     watch = ProgressWatch(scenario)
     read: dict[str, bool] = {}
@@ -69,3 +73,12 @@ def run_virtual(
         host.run(host.now + from_seconds(RUNDOWN_S))
         host.stop(["simulator"])
     return Outcome(summary.figures(), interrupted, (log,), {})
+
+
+def _without_process(scenario: Scenario) -> Iterator[str]:
+    """Crashes and freezes of what is not there in virtual time."""
+    named = [(f"crashes[{index}]", crash.node) for index, crash in enumerate(scenario.crashes)]
+    named += [(f"freezes[{index}]", freeze.node) for index, freeze in enumerate(scenario.freezes)]
+    for where, node in named:
+        if node in PROCESSES:
+            yield f"{where} does nothing: there is no {node} in virtual time; run it without --virtual"

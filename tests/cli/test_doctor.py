@@ -69,6 +69,11 @@ def test_packages_are_there_and_new_enough() -> None:
     assert doctor.requirements("no-such-distribution") == []
 
 
+def test_what_several_parts_need_is_told_once() -> None:
+    asked = [Requirement("a", "1", "x"), Requirement("a", "1", "y"), Requirement("b", "1", "x")]
+    assert [check.name for check in doctor.packages(asked, {"a": "1", "b": "1"}.get)] == ["a", "b"]
+
+
 def test_a_port_that_is_taken_is_told() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

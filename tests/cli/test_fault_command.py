@@ -221,15 +221,18 @@ def test_what_is_over_is_pruned_when_a_plan_is_changed(endpoint: str, session: Z
         (("set", "--latency", "nan"), "latency_s = nan: must be"),
         (("set", "--burst-leave", 0.5), "burst.enter: missing"),
         (("set", "--preset", "wlan"), "preset = 'wlan': must be one of wifi-good, "),
-        (("set", "--loss", 0.1, "--window", "20:10"), "is empty; must be [from, to) with from < to"),
+        (
+            ("set", "--loss", 0.1, "--window", "20:10"),
+            "--window = [20.0, 10.0]: is empty; must be [from, to) with from < to",
+        ),
         (("set", "--loss", 0.1, "--for", 0), "for_s = 0.0: must be a finite number > 0"),
         (("partition", "r1", "r1,r2"), "r1 is in groups[0] already"),
         (("partition", "r7"), "'r7': matches nothing; valid: controller, r1"),
         (("partition", "r1", "--for", -1), "for_s = -1.0: must be"),
-        (("crash", "simulator"), "'simulator': its death ends the run; must be one of controller, r1"),
-        (("crash", "r9"), "'r9': must be one of controller, r1, r2, r3, recorder, router"),
+        (("crash", "simulator"), "'simulator': its death ends the run; must be one of controller, recorder"),
+        (("crash", "r9"), "'r9': must be one of controller, recorder, router, r1, r2, r3"),
         (("crash", "r 9"), "node = 'r 9': must be"),
-        (("freeze", "r9", "--for", 1), "'r9': must be one of controller, simulator, r1"),
+        (("freeze", "r9", "--for", 1), "'r9': must be one of controller, simulator, recorder"),
     ],
 )
 def test_what_is_refused_says_what_would_be_valid(
@@ -263,6 +266,15 @@ def test_nobody_there_is_a_failure() -> None:
     result = CliRunner().invoke(app, ["show", "--connect", "tcp/127.0.0.1:1", "--timeout", "0.3"])
     assert isinstance(result.exception, RunError)
     assert "can't reach a router at tcp/127.0.0.1:1" in str(result.exception)
+
+
+def test_a_platoon_that_nobody_has_heard_of_is_told() -> None:
+    address = f"tcp/127.0.0.1:{free_port()}"
+    with ZenohSession.router(address, "maniple") as opened:
+        serve(opened, Anchor(BEGAN_S * SECOND, time.monotonic_ns(), 1.0))
+        said = refused(address, "set", "--from", "r1", "--loss", 0.1)
+    assert "--from = 'r1': matches nothing" in said
+    assert "no robot is known there yet" in said
 
 
 def test_a_plan_as_people_see_it() -> None:

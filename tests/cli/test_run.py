@@ -195,6 +195,17 @@ def test_the_end_comes_by_duration(small: Path, tmp_path: Path, command: Maniple
     assert read(log).complete
 
 
+def test_what_cannot_die_in_virtual_time_is_told(small: Path, tmp_path: Path) -> None:
+    told: list[str] = []
+    fates = ["crashes=[{node='r1', at_s=9}, {node='router', at_s=1}]"]
+    fates.append("freezes=[{node='recorder', at_s=1, for_s=1}]")
+    run_virtual(small, tmp_path, duration_s=0.5, overrides=fates, on_notice=told.append)
+    assert [text.partition(";")[0] for text in told] == [
+        "crashes[1] does nothing: there is no router in virtual time",
+        "freezes[0] does nothing: there is no recorder in virtual time",
+    ]
+
+
 def test_an_existing_recording_is_left_alone(small: Path, tmp_path: Path, command: Maniple) -> None:
     log = tmp_path / "a.mcap"
     log.write_bytes(b"precious")

@@ -15,7 +15,9 @@ from maniple.core.scenario.types import Crash, Fault, Freeze, Partition, Scenari
 from maniple.core.topics import TOPICS
 
 _OPERATOR = "operator"
-_PROCESSES = ("recorder", "router")
+PROCESSES = ("recorder", "router")
+"""Who can die and freeze besides robots, controller and simulator; in virtual time there are none."""
+
 _MOST_NAMES = 8
 
 
@@ -96,13 +98,13 @@ def _partition(path: str, partition: Partition, nodes: Sequence[str], host: str 
                 yield f"{where}: {name} is in groups[{first}] already; must be in one group"
     if host is not None and group_of(partition, host) != group_of(partition, "controller"):
         yield f"{path}.groups: the controller runs on {host}; must be in the same group"
-    elif len({group_of(partition, name) for name in nodes}) == 1:
+    elif {group_of(partition, name) for name in nodes} == {0}:
         yield f"{path}.groups: all nodes are in one group; must leave somebody out, or be more groups"
 
 
 def _nodes(plan: FaultPlan, robots: Sequence[str]) -> Iterator[str]:
     """Who dies and who freezes."""
-    nodes = ["controller", *robots, *_PROCESSES]
+    nodes = ["controller", *PROCESSES, *robots]
     for index, crash in enumerate(plan.crashes):
         if crash.node == "simulator":
             yield (
@@ -110,7 +112,7 @@ def _nodes(plan: FaultPlan, robots: Sequence[str]) -> Iterator[str]:
             )
         elif crash.node not in nodes:
             yield f"crashes[{index}].node = {crash.node!r}: must be one of {some(nodes)}"
-    nodes = ["controller", "simulator", *robots, *_PROCESSES]
+    nodes = ["controller", "simulator", *PROCESSES, *robots]
     for index, freeze in enumerate(plan.freezes):
         if freeze.node not in nodes:
             yield f"freezes[{index}].node = {freeze.node!r}: must be one of {some(nodes)}"

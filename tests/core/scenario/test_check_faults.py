@@ -13,6 +13,7 @@ from maniple.core.scenario.types import Crash, Fault, Freeze, Partition
 
 Data = dict[str, Any]
 NODES = "controller, r1, r2, r3"
+MORTAL = "controller, recorder, router, r1, r2, r3"
 
 
 def checked(data: Data, *overrides: str) -> list[str]:
@@ -50,12 +51,11 @@ def checked(data: Data, *overrides: str) -> list[str]:
         ),
         (
             "crashes=[{node='simulator', at_s=1}]",
-            "crashes[0].node = 'simulator': its death ends the run; "
-            f"must be one of {NODES}, recorder, router",
+            f"crashes[0].node = 'simulator': its death ends the run; must be one of {MORTAL}",
         ),
         (
             "crashes=[{node='r9', at_s=1}]",
-            f"crashes[0].node = 'r9': must be one of {NODES}, recorder, router",
+            f"crashes[0].node = 'r9': must be one of {MORTAL}",
         ),
         (
             "crashes=[{node='r1', at_s=9}, {node='r1', at_s=1}]",
@@ -67,7 +67,7 @@ def checked(data: Data, *overrides: str) -> list[str]:
         ),
         (
             "freezes=[{node='r9', at_s=1, for_s=1}]",
-            "freezes[0].node = 'r9': must be one of controller, simulator, r1, r2, r3, recorder, router",
+            "freezes[0].node = 'r9': must be one of controller, simulator, recorder, router, r1, r2, r3",
         ),
         (
             "freezes=[{node='r1', at_s=1, for_s=5}, {node='r1', at_s=6, for_s=1}]",
@@ -166,3 +166,8 @@ def test_a_sound_plan_has_no_problems() -> None:
         freezes=(Freeze(node="simulator", at_s=1.0, for_s=2.0),),
     )
     assert plan_problems(plan, ["r1", "r2", "r3"]) == []
+
+
+def test_a_group_of_unknown_nodes_is_one_problem(data: Data) -> None:
+    (message,) = checked(data, "partitions=[{groups=[['r9']]}]")
+    assert message.startswith("partitions[0].groups[0] = 'r9': matches nothing")
