@@ -48,7 +48,8 @@ class Localisation:
     def resume(self, now: Time) -> Pose | None:
         """Where this life's dead reckoning began in the frame, as soon as that is known, once; else None.
 
-        The robot went on an arc since the last word, or stayed where it was if the counts began anew.
+        The robot went on an arc since the last word, or stayed where it was if the counts began anew. A last
+        word that is ahead of this life's clock tells nothing of what the robot rolled since.
         """
         if self.known or self._first is None:
             return None
@@ -56,6 +57,8 @@ class Localisation:
         if former is None:
             self.known = now - counted_at >= PATIENCE and motion.incarnation == 1 and not any(motion.ticks)
             return _ORIGIN if self.known else None
+        if counted_at < former.stamp_ns:
+            return None
         same = motion.incarnation == former.motion_incarnation and len(former.ticks) == len(motion.ticks)
         pose = Pose(former.x_m, former.y_m, former.psi_rad)
         last = dead_reckoning.Reckoning(pose, ticks=former.ticks if same else None, stamp=former.stamp_ns)

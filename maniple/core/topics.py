@@ -1,6 +1,6 @@
 """The one table of topics. A key on the network is `PREFIX/NAME`; a name has its `{id}` filled in."""
 
-from functools import cache
+from functools import lru_cache
 from typing import Literal, TypeAlias
 
 import msgspec
@@ -178,7 +178,7 @@ FORMATION_MISSION = "formation/mission"
 TRUTH = "sim/truth"
 
 
-@cache
+@lru_cache(4096)  # names may be forged
 def topic(name: str) -> Topic:
     """The row of a topic name.
 
@@ -196,7 +196,7 @@ def topic(name: str) -> Topic:
     raise MessageError(f"topic {name!r} is not in the table; topics are {known}")
 
 
-@cache
+@lru_cache(4096)  # names may be forged
 def sender_of(name: str) -> str:
     """The node that alone may send on a topic; empty where anybody may."""
     row = topic(name)

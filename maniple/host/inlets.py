@@ -31,6 +31,10 @@ MOST_OPERATORS = 32
 """Senders that are heard on a topic that anybody may send on."""
 
 
+MOST_NODES, MOST_LIVES = 4096, 64
+"""Nodes, and the latest lives of each, that are known to have shown themselves."""
+
+
 class _Inlet:
     """What a node takes from one sender on one topic."""
 
@@ -70,7 +74,11 @@ class Inlets:
 
     def announced(self, node: str, incarnation: int) -> None:
         """A life of a node showed itself."""
-        self._announced.setdefault(node, set()).add(incarnation)
+        if node in self._announced or len(self._announced) < MOST_NODES:
+            lives = self._announced.setdefault(node, set())
+            lives.add(incarnation)
+            if len(lives) > MOST_LIVES:
+                lives.remove(min(lives))
 
     def is_news(self, envelope: Envelope) -> bool:
         """Whether nothing as new as this was taken from its sender on its topic."""

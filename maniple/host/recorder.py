@@ -66,7 +66,7 @@ class RecorderHost:
     def run(self, poll_s: float = 0.1) -> None:
         """Record until `stop`, and then what is still on its way."""
         for session in self._sessions:
-            session.subscribe("**", self._inbox.arrived, self._inbox.unfit, topics.has_one_sender)
+            session.subscribe("**", self._inbox.arrived, self._inbox.unfit, self._has_one_sender)
         fleet = self._sessions[0]
         fleet.watch(self._inbox.life)
         for row in topics.TOPICS:
@@ -116,6 +116,9 @@ class RecorderHost:
                 self._flowing[topic] = envelope
             else:
                 self._store.keep(topic, data)
+
+    def _has_one_sender(self, topic: str) -> bool:
+        return topic in self._known and topics.has_one_sender(topic)
 
     def _admits(self, topic: str) -> bool:
         """Whether a key is recorded: each takes room for good, and anybody may make up any number."""

@@ -46,6 +46,14 @@ def test_a_later_one_resumes_it_once() -> None:
     assert (frame.known, frame.frame_id, frame.resume(T0)) == (True, "r1", None)
 
 
+def test_a_last_word_from_the_future_does_not_tell_how_far_it_rolled_since() -> None:
+    frame = Localisation("r1", 2, WHEELS)
+    frame.heard(last_word(stamp_ns=T0 + SECOND))
+    frame.counted(motion((9000, 9000)), T0)
+    assert frame.resume(T0 + 10 * PATIENCE) is None
+    assert not frame.known
+
+
 def test_without_a_last_word_a_robot_whose_wheels_never_turned_stands_where_it_began() -> None:
     frame = Localisation("r1", 2, WHEELS)
     frame.counted(motion((0, 0)), T0)
