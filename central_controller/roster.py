@@ -257,7 +257,8 @@ class Member:
             return self.mode or "new", "" if self.mode else "it has not said how it is"
         if self.mode == "holding" and self._command_age_s > limits.hold_s > 0.0:
             return "old", f"the command is {self._command_age_s:.1f} s old, the limit {limits.hold_s:.2f} s"
-        text = f"{self.mode}{': ' * bool(self.reason)}{self.reason}"
+        said = self.reason.startswith(self.mode)
+        text = self.reason if said else f"{self.mode}{': ' * bool(self.reason)}{self.reason}"
         return without_figures(text), text
 
     def report(

@@ -1,7 +1,6 @@
 """`maniple fault`: change what the network does to a running platoon, and which processes die or freeze."""
 
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
@@ -9,6 +8,7 @@ import typer
 from rich.console import Console
 
 from maniple.cli import fault_text
+from maniple.cli.fault_options import by_option, effect_problem, link_problem, parsed
 from maniple.cli.node_commands import LOCAL
 from maniple.cli.operator import (
     Connect,
@@ -21,11 +21,10 @@ from maniple.cli.operator import (
     publish,
 )
 from maniple.core import plans, topics
-from maniple.core.errors import ArgumentError
+from maniple.core.errors import ArgumentError, ScenarioError
 from maniple.core.messages import FaultPlan
 from maniple.core.presets import with_preset
 from maniple.core.scenario.check_faults import plan_problems
-from maniple.core.scenario.parse import parameters_of
 from maniple.core.scenario.types import Crash, Fault, Freeze, Partition
 
 if TYPE_CHECKING:
@@ -59,7 +58,7 @@ def show(
     from maniple.host.joining import clock_of
 
     with operator_session(connect, prefix, timeout) as session:
-        _say(_planned(session), clock_of(session).now(), json)
+        _say(_planned(session), clock_of(session).now(), connect, json)
 
 
 @app.command("set")
@@ -112,15 +111,21 @@ def set_rule(
     if not numbers:
         raise typer.BadParameter("say what is to be wrong: --latency, --loss, --preset, ...; or use clear")
     data = _given(**links) | numbers | {"windows": [_window(text) for text in window or ()]}
-    rule = parameters_of(Fault, data)
+    rule = parsed(Fault, data)
     if for_s is not None:
-        parameters_of(Freeze, {"node": "any", "at_s": 0, "for_s": for_s})
+        parsed(Freeze, {"node": "any", "at_s": 0, "for_s": for_s})
+    try:
+        rule = with_preset(rule)
+    except ScenarioError as error:
+        raise ArgumentError(by_option(str(error))) from None
+    if found := effect_problem(rule, numbers):
+        raise ArgumentError(found)
 
     def change(plan: FaultPlan, now_s: float) -> FaultPlan:
         windows = rule.windows if for_s is None else ((now_s, round(now_s + for_s, 3)),)
-        return plans.with_rule(plan, with_preset(msgspec.structs.replace(rule, windows=windows)), add)
+        return plans.with_rule(plan, msgspec.structs.replace(rule, windows=windows), add)
 
-    _change(change, connect, prefix, json, timeout)
+    _change(change, connect, prefix, json, timeout, lambda robots: link_problem(rule, robots))
 
 
 @app.command()
@@ -170,7 +175,7 @@ def partition(
 ) -> None:
     """Keep groups of nodes from hearing each other; the nodes in none of them are another group."""
     parts = [[name.strip() for name in group.split(",") if name.strip()] for group in groups]
-    made = parameters_of(Partition, {"groups": parts, **_given(for_s=for_s)})
+    made = parsed(Partition, {"groups": parts, **_given(for_s=for_s)})
     _change(
         lambda plan, now_s: plans.with_partition(plan, msgspec.structs.replace(made, at_s=now_s)),
         connect,
@@ -192,7 +197,7 @@ def crash(
     timeout: Timeout = 5.0,
 ) -> None:
     """Kill a process as SIGKILL does; without --restart-after for good."""
-    made = parameters_of(Crash, {"node": node, "at_s": 0, **_given(restart_after_s=restart_after)})
+    made = parsed(Crash, {"node": node, "at_s": 0, **_given(restart_after_s=restart_after)})
     _change(
         lambda plan, now_s: plans.with_crash(plan, msgspec.structs.replace(made, at_s=now_s)),
         connect,
@@ -212,7 +217,7 @@ def freeze(
     timeout: Timeout = 5.0,
 ) -> None:
     """Stop a process as SIGSTOP does, and let it go on later."""
-    made = parameters_of(Freeze, {"node": node, "at_s": 0, "for_s": for_s})
+    made = parsed(Freeze, {"node": node, "at_s": 0, "for_s": for_s})
     _change(
         lambda plan, now_s: plans.with_freeze(plan, msgspec.structs.replace(made, at_s=now_s)),
         connect,
@@ -222,8 +227,16 @@ def freeze(
     )
 
 
-def _change(change: Change, connect: str, prefix: str, as_json: bool, timeout_s: float) -> None:
-    """Change the plan of a running platoon, and show what the router keeps then.
+def _change(
+    change: Change,
+    connect: str,
+    prefix: str,
+    as_json: bool,
+    timeout_s: float,
+    check: Callable[[Sequence[str]], str] = lambda _: "",
+) -> None:
+    """Change the plan of a running platoon, and show what the router keeps then. `check` says what else is
+    wrong for robots that are known.
 
     Raises:
         ArgumentError: the changed plan is not valid; says what would be.
@@ -242,9 +255,11 @@ def _change(change: Change, connect: str, prefix: str, as_json: bool, timeout_s:
             unknown = (
                 [] if robots else ["no robot is known there yet: neither one nor a controller was heard of"]
             )
-            raise ArgumentError("\n".join([*map(_by_option, found), *unknown]))
+            raise ArgumentError("\n".join([*map(by_option, found), *unknown]))
+        if wrong := check(robots):
+            raise ArgumentError(wrong)
         publish(session, topics.PLAN, changed, timeout_s)
-        _say(_planned(session), clock.now(), as_json)
+        _say(_planned(session), clock.now(), connect, as_json)
 
 
 def _planned(session: "ZenohSession") -> FaultPlan | None:
@@ -253,26 +268,11 @@ def _planned(session: "ZenohSession") -> FaultPlan | None:
     return plan
 
 
-def _say(plan: FaultPlan | None, now: int, as_json: bool) -> None:
+def _say(plan: FaultPlan | None, now: int, connect: str, as_json: bool) -> None:
     if as_json:
-        typer.echo(msgspec.json.encode(fault_text.report(plan, now)))
+        typer.echo(msgspec.json.encode({**fault_text.report(plan, now), "connect": connect}))
     else:
-        Console(highlight=False).print(fault_text.picture(plan, now))
-
-
-_OPTIONS = (
-    (re.compile(r"^faults\[\d+\]\.source"), "--from"),
-    (re.compile(r"^faults\[\d+\]\.destination"), "--to"),
-    (re.compile(r"^faults\[\d+\]\.windows\[\d+\]"), "--window"),
-    (re.compile(r"^faults\[\d+\]\.(\w+?)(_s)?\b"), r"--\1"),
-)
-
-
-def _by_option(problem: str) -> str:
-    """A problem of the plan in terms of the options of `set`."""
-    for pattern, option in _OPTIONS:
-        problem = pattern.sub(option, problem)
-    return problem
+        Console(highlight=False).print(fault_text.picture(plan, now, connect))
 
 
 def _given(**values: Any) -> dict[str, Any]:

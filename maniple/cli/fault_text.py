@@ -50,10 +50,10 @@ def report(plan: FaultPlan | None, now: Time) -> dict[str, Any]:
     }
 
 
-def picture(plan: FaultPlan | None, now: Time) -> RenderableType:
-    """A plan as a table."""
+def picture(plan: FaultPlan | None, now: Time, connect: str) -> RenderableType:
+    """A plan as a table, and where it was asked."""
     if plan is None:
-        return Text("no faults are planned")
+        return _head("no faults are planned", connect)
     now_s = plans.elapsed_s(plan, now)
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     table.add_column("", justify="right", no_wrap=True)
@@ -63,13 +63,18 @@ def picture(plan: FaultPlan | None, now: Time) -> RenderableType:
     table.add_column("now", no_wrap=True)
     for number, who, what, when, stage in _rows(plan, now_s):
         table.add_row(number, who, what, when, Text(stage, style=_COLOURS[stage]))
-    head = Text(f"{now_s:.1f} s since the start" + ("" if table.row_count else ": nothing is wrong"))
+    nothing = "" if table.row_count else ": nothing is wrong"
+    head = _head(f"{now_s:.1f} s since the start{nothing}", connect)
     return Group(head, table) if table.row_count else head
 
 
 def summary(rule: Fault) -> str:
     """What a rule does, in words."""
     return ", ".join(_effects(rule)) or "nothing"
+
+
+def _head(text: str, connect: str) -> Text:
+    return Text(text).append(f" ({connect})", style="dim")
 
 
 def _rows(plan: FaultPlan, now_s: float) -> Iterator[tuple[str, str, str, str, plans.Stage]]:

@@ -62,6 +62,8 @@ class Answer(msgspec.Struct, frozen=True):
     phase: str
     task_time_s: float
     task_duration_s: float
+    connect: str = ""
+    """Where it was given."""
 
 
 @app.command()
@@ -218,12 +220,12 @@ def _order(
     """Send a goal, say what became of it, and end with status 0 if it is accepted, else 1."""
     goal = Goal(id=f"{OPERATOR}-{time.time_ns()}", task=tables.task, formation=tables.formation, hold=holds)
     with operator_session(connect, prefix, timeout_s) as session:
-        answer = send(goal, session, timeout_s)
+        answer = msgspec.structs.replace(send(goal, session, timeout_s), connect=connect)
     if as_json:
         typer.echo(msgspec.json.encode(answer).decode())
     elif answer.accepted:
         done, total = answer.task_time_s, answer.task_duration_s
-        typer.echo(f"accepted: {answer.phase}, at {done:.1f} of {total:.1f} s")
+        typer.echo(f"accepted: {answer.phase}, at {done:.1f} of {total:.1f} s ({connect})")
     else:
-        typer.echo(f"refused: {answer.refused}")
+        typer.echo(f"refused: {answer.refused} ({connect})")
     raise typer.Exit(0 if answer.accepted else 1)

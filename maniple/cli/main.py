@@ -1,21 +1,32 @@
-"""The program `maniple`. Heavy parts are imported by the command that needs them."""
+"""The program `maniple`. Heavy parts are imported by the command that needs them.
+
+All else is imported by `main` too: an interrupt while that takes its time ends the program as any other.
+"""
 
 import errno
 import os
 import sys
 
-from maniple.cli.processes import environment
-
-environment()
-
-from maniple.cli import node_commands  # noqa: E402 - nothing may import NumPy before the environment is set
-from maniple.core.errors import ManipleError, RunError  # noqa: E402
-
 _OUTPUT_IS_GONE = (errno.ENOSPC, errno.EPIPE, errno.EBADF)
 
 
 def main() -> None:
-    """Run the command line; a user's mistake ends in one message and status 2, a failed run in status 1."""
+    """Run the command line; a user's mistake ends in one message and status 2, a failed run in status 1, an
+    interrupt that no command takes as a request in status 130."""
+    try:
+        _run()
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _run() -> None:
+    from maniple.cli.processes import environment
+
+    environment()  # before anything imports NumPy
+
+    from maniple.cli import node_commands
+    from maniple.core.errors import ManipleError, RunError
+
     try:
         if sys.argv[1:] and sys.argv[1] in node_commands.COMMANDS:
             node_commands.main(sys.argv[1:])

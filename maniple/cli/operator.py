@@ -12,7 +12,7 @@ import typer
 from maniple.cli.node_commands import LOCAL
 from maniple.core import codec, topics
 from maniple.core.envelope import Envelope, envelope_of
-from maniple.core.errors import MessageError, RunError, TransportError
+from maniple.core.errors import ArgumentError, MessageError, RunError, TransportError
 from maniple.core.messages import FormationState, Message
 from maniple.core.scenario.check import RESERVED
 from maniple.core.scenario.parse import parameters_of
@@ -51,8 +51,8 @@ def operator_session(connect: str, prefix: str, timeout_s: float) -> Iterator["Z
     Raises:
         BadParameter: `connect` is no endpoint.
         ScenarioError: `prefix` can't be one of keys.
-        RunError: nothing answers there within the time, or what was done with the session failed; its text
-            begins with the endpoint.
+        RunError: nothing answers there within the time, or what was done with the session failed.
+        ArgumentError: what was asked for is not valid there. Both texts begin with the endpoint.
     """
     from maniple.transport.zenoh import ZenohSession
 
@@ -64,6 +64,8 @@ def operator_session(connect: str, prefix: str, timeout_s: float) -> Iterator["Z
             yield session
     except (RunError, TransportError) as error:
         raise RunError(f"{connect}: {error}") from None
+    except ArgumentError as error:
+        raise ArgumentError(f"{connect}: {error}") from None
 
 
 def latched(session: "ZenohSession", topic: str, timeout_s: float = 2.0) -> Message | None:

@@ -21,7 +21,7 @@ from maniple.cli.operator import (
     operator_session,
 )
 from maniple.core import codec, topics
-from maniple.core.errors import MessageError
+from maniple.core.errors import MessageError, RunError
 from maniple.core.messages import EmergencyStop, Message, Odometry, Status
 
 if TYPE_CHECKING:
@@ -31,6 +31,11 @@ STILL_MPS, STILL_RADPS = 0.01, 0.02
 """A robot whose own odometry says less stands."""
 
 _ASK_S = 2.0
+
+_NOT_GIVEN = (
+    "no stop was given: robots of a platoon that can't be reached stand, by their guards, only once their "
+    "commands get old"
+)
 
 Reason = Annotated[str, typer.Option("--reason", metavar="TEXT", help="For whoever sees the robots stand.")]
 
@@ -52,6 +57,8 @@ class Confirmed(msgspec.Struct, frozen=True):
     """Whether the router keeps it for robots that come later."""
     overruled: bool
     """Whether an operator has said something else since."""
+    connect: str = ""
+    """Where it was said."""
 
 
 class Witness:
@@ -181,8 +188,15 @@ def _outcome(
 
 
 def _order(message: EmergencyStop, connect: str, prefix: str, as_json: bool, timeout_s: float) -> None:
-    with operator_session(connect, prefix, timeout_s) as session:
-        found = confirm(session, message, timeout_s)
+    reached = False
+    try:
+        with operator_session(connect, prefix, timeout_s) as session:
+            reached = True
+            found = msgspec.structs.replace(confirm(session, message, timeout_s), connect=connect)
+    except RunError as error:
+        if reached or not message.stopped:
+            raise
+        raise RunError(f"{error}\n{_NOT_GIVEN}") from None
     if as_json:
         typer.echo(msgspec.json.encode(found).decode())
     else:
@@ -202,4 +216,5 @@ def words(found: Confirmed) -> str:
         lines.append("another operator has said something since")
     if not (found.confirmed or found.missing):
         lines.append("no robot is there")
+    lines[-1] += f" ({found.connect})"
     return "\n".join(lines)

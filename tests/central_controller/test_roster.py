@@ -302,6 +302,14 @@ def test_a_robot_in_an_emergency_is_waited_for_and_not_lost() -> None:
     assert roster.waited_for(now) == {"r1": "emergency"}
 
 
+def test_an_emergency_stop_is_said_once() -> None:
+    member = Member(ROBOT)
+    member.heard(alive(1, True), T0)
+    member.heard(odometry(), T0)
+    member.heard(replace(status(mode="emergency"), reason="emergency stop: a dog"), T0)
+    assert member.cause(T0) == "emergency stop: a dog"
+
+
 def test_one_that_is_frozen_is_lost_though_its_token_lives_and_told_of_as_silent() -> None:
     roster = platoon()
     now, _ = later(roster, T0, 1.0, "r0", "r1")

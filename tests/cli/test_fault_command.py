@@ -94,7 +94,8 @@ def refused(endpoint: str, *arguments: object) -> str:
     """Why a command is not obeyed; nothing is changed then."""
     result = invoke(endpoint, *arguments)
     assert isinstance(result.exception, ArgumentError | ScenarioError), (result.output, result.exception)
-    return str(result.exception)
+    said = str(result.exception)
+    return said.removeprefix(f"{endpoint}: ")
 
 
 def test_nothing_is_planned_at_first(endpoint: str) -> None:
@@ -106,8 +107,9 @@ def test_nothing_is_planned_at_first(endpoint: str) -> None:
         "partitions": [],
         "crashes": [],
         "freezes": [],
+        "connect": endpoint,
     }
-    assert invoke(endpoint, "show").stdout == "no faults are planned\n"
+    assert invoke(endpoint, "show").stdout == f"no faults are planned ({endpoint})\n"
 
 
 def test_every_number_of_a_rule(endpoint: str, session: ZenohSession) -> None:
@@ -216,22 +218,26 @@ def test_what_is_over_is_pruned_when_a_plan_is_changed(endpoint: str, session: Z
             ("set", "--topic", "odometry", "--loss", 0.1),
             "--topic = 'odometry': matches nothing; valid: robot/r1/",
         ),
-        (("set", "--loss", 1.5), "loss = 1.5: must be a finite number >= 0 and <= 1"),
-        (("set", "--latency", -1), "latency_s = -1.0: must be"),
-        (("set", "--latency", "nan"), "latency_s = nan: must be"),
-        (("set", "--burst-leave", 0.5), "burst.enter: missing"),
-        (("set", "--preset", "wlan"), "preset = 'wlan': must be one of wifi-good, "),
+        (("set", "--loss", 1.5), "--loss = 1.5: must be a finite number >= 0 and <= 1"),
+        (("set", "--latency", -1), "--latency = -1.0: must be"),
+        (("set", "--latency", "nan"), "--latency = nan: must be"),
+        (("set", "--burst-leave", 0.5), "--burst-enter: missing"),
+        (("set", "--preset", "wlan"), "--preset = 'wlan': must be one of wifi-good, "),
         (
             ("set", "--loss", 0.1, "--window", "20:10"),
             "--window = [20.0, 10.0]: is empty; must be [from, to) with from < to",
         ),
-        (("set", "--loss", 0.1, "--for", 0), "for_s = 0.0: must be a finite number > 0"),
+        (("set", "--loss", 0.1, "--for", 0), "--for = 0.0: must be a finite number > 0"),
+        (("set", "--from", "r1", "--to", "r2", "--loss", 0.1), "--from r1 --to r2: no message goes that way"),
+        (("set", "--queue", 2), "--queue: is for what comes faster than a rate; give --rate-kbps too"),
+        (("set", "--reorder-by", 2), "--reorder-by: says for how long, not how many; give --reorder too"),
+        (("crash", "r1", "--restart-after", 0), "--restart-after = 0.0: must be"),
         (("partition", "r1", "r1,r2"), "r1 is in groups[0] already"),
         (("partition", "r7"), "'r7': matches nothing; valid: controller, r1"),
-        (("partition", "r1", "--for", -1), "for_s = -1.0: must be"),
+        (("partition", "r1", "--for", -1), "--for = -1.0: must be"),
         (("crash", "simulator"), "'simulator': its death ends the run; must be one of controller, recorder"),
         (("crash", "r9"), "'r9': must be one of controller, recorder, router, r1, r2, r3"),
-        (("crash", "r 9"), "node = 'r 9': must be"),
+        (("crash", "r 9"), "NODE = 'r 9': must be"),
         (("freeze", "r9", "--for", 1), "'r9': must be one of controller, simulator, recorder"),
     ],
 )
@@ -268,6 +274,13 @@ def test_nobody_there_is_a_failure() -> None:
     assert "can't reach a router at tcp/127.0.0.1:1" in str(result.exception)
 
 
+def test_answers_and_refusals_say_which_platoon(endpoint: str) -> None:
+    assert done(endpoint, "set", "--loss", 0.1)["connect"] == endpoint
+    assert f"s since the start ({endpoint})" in invoke(endpoint, "show").stdout
+    wrong = invoke(endpoint, "set", "--from", "r9", "--loss", 0.1).exception
+    assert str(wrong).startswith(f"{endpoint}: --from = 'r9'")
+
+
 def test_a_platoon_that_nobody_has_heard_of_is_told() -> None:
     address = f"tcp/127.0.0.1:{free_port()}"
     with ZenohSession.router(address, "maniple") as opened:
@@ -290,11 +303,11 @@ def test_a_plan_as_people_see_it() -> None:
         freezes=(Freeze(node="router", at_s=9.5, for_s=3),),
     )
     console = Console(file=StringIO(), width=200)
-    console.print(fault_text.picture(plan, 110 * SECOND))
+    console.print(fault_text.picture(plan, 110 * SECOND, "tcp/h:1"))
     assert isinstance(console.file, StringIO)
     lines = [" ".join(line.split()) for line in console.file.getvalue().splitlines()]
     assert lines == [
-        "10.0 s since the start",
+        "10.0 s since the start (tcp/h:1)",
         "who what when now",
         "1 r3 to all: robot/*/odometry 200 +- 50 ms late, 30 % lost always running",
         "2 all to all bursts (enter 1 %, leave 50 %; 100 % lost, else 0 %), 100 kbit/s, queue of 1 s "

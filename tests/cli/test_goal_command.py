@@ -185,6 +185,7 @@ def test_goals_are_accepted_and_refused_by_a_real_controller(platoon: str) -> No
     status, line = answered(platoon, "line", 0, 0, 2, 0, "--speed", 0.1)
     assert (status, line["task_duration_s"]) == (0, pytest.approx(20.0))
     assert line["goal"] != first["goal"]
+    assert line["connect"] == platoon
     status, refused = answered(platoon, "line", 0, 0, 2, 0, "--speed", 5)
     assert (status, refused["accepted"]) == (1, False)
     assert refused["refused"].startswith("task.speed_mps = 5.0: too fast for robots[0] (r1)")
@@ -196,9 +197,11 @@ def test_people_are_told_in_words(platoon: str) -> None:
     accepted = invoke("target", 1, 0, 0, "--connect", platoon, "--timeout", 20)
     assert accepted.exit_code == 0
     assert accepted.stdout.startswith("accepted: waiting, at 0.0 of ")
+    assert accepted.stdout.endswith(f" s ({platoon})\n")
     refused = invoke("shape", "vee", "--spacing", 90_000, "--connect", platoon, "--timeout", 20)
     assert refused.exit_code == 1
     assert refused.stdout.startswith("refused: formation.points[")
+    assert refused.stdout.endswith(f" ({platoon})\n")
 
 
 def test_nobody_there_is_a_failure_not_a_mistake(platoon: str) -> None:

@@ -85,18 +85,26 @@ def test_people_are_told_who_did_and_who_did_not() -> None:
         absent=("r3",),
         kept=False,
         overruled=True,
+        connect="tcp/h:1",
     )
     assert words(found).splitlines() == [
         "r1 stands, after 0.25 s",
         "r2 does not confirm: it still moves, 0.20 m/s, 0.00 rad/s",
         "r3 is not there; it is told when it is back",
         "the router does not keep it: robots that come later are not told",
-        "another operator has said something since",
+        "another operator has said something since (tcp/h:1)",
     ]
     nobody = Confirmed(
-        stopped=False, ok=False, confirmed={}, missing={}, absent=(), kept=True, overruled=False
+        stopped=False,
+        ok=False,
+        confirmed={},
+        missing={},
+        absent=(),
+        kept=True,
+        overruled=False,
+        connect="tcp/h:1",
     )
-    assert words(nobody) == "no robot is there"
+    assert words(nobody) == "no robot is there (tcp/h:1)"
 
 
 # -- with a real router, and robots played by sessions
@@ -217,11 +225,19 @@ def test_without_robots_it_is_kept_for_them_but_not_done(endpoint: str) -> None:
     found = invoke("stop", "--connect", endpoint, "--timeout", 0.5, "--json")
     assert found.exit_code == 1
     said = json.loads(found.stdout)
-    assert (said["ok"], said["kept"], said["confirmed"]) == (False, True, {})
-    assert invoke("stop", "--connect", endpoint, "--timeout", 0.5).stdout == "no robot is there\n"
+    assert (said["ok"], said["kept"], said["confirmed"], said["connect"]) == (False, True, {}, endpoint)
+    assert (
+        invoke("stop", "--connect", endpoint, "--timeout", 0.5).stdout == f"no robot is there ({endpoint})\n"
+    )
 
 
 def test_nobody_there_is_a_failure() -> None:
     nowhere = invoke("stop", "--connect", "tcp/127.0.0.1:1", "--timeout", 0.3)
     assert isinstance(nowhere.exception, RunError)
+    assert "\nno stop was given: robots of a platoon that can't be reached stand, by" in str(
+        nowhere.exception
+    )
+    unarmed = invoke("arm", "--connect", "tcp/127.0.0.1:1", "--timeout", 0.3)
+    assert isinstance(unarmed.exception, RunError)
+    assert "no stop was given" not in str(unarmed.exception)
     assert invoke("arm", "--connect", "localhost").exit_code == 2
