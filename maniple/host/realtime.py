@@ -32,7 +32,7 @@ from maniple.transport.zenoh import ZenohSession
 SETTLE_S, GRACE_S = 0.3, 3.0
 """A life is believed to be over after so long; when the router has been away, after the other; wall time."""
 
-_DELIVERY, _TIMER, _FLUSH, _FATE = range(4)
+_DELIVERY, _HANDOVER, _TIMER, _FLUSH, _FATE = range(5)
 
 
 class RealtimeHost:
@@ -136,6 +136,7 @@ class RealtimeHost:
         self._send(self._runner.start(shown))
         for item in latched:
             self._arrived(item, now, latched=True)
+        self._act(self._clock.now())
         while self._take(self._inbox.take(self._wait_s())):
             self._act(self._clock.now())
 
@@ -183,8 +184,7 @@ class RealtimeHost:
         if item.topic not in self._node.subscriptions:
             return
         if latched:
-            if self._runner.is_news(envelope):
-                self._receive(envelope, now, latched=True)
+            self._push(now + self._faulty.delay(envelope), _HANDOVER, envelope=envelope)
             return
         for delay, copy in self._faulty.admit(envelope):
             if delay == 0:
@@ -247,6 +247,10 @@ class RealtimeHost:
             if kind == _DELIVERY:
                 assert envelope is not None
                 self._receive(envelope, now)
+            elif kind == _HANDOVER:
+                assert envelope is not None
+                if self._runner.is_news(envelope):
+                    self._receive(envelope, now, latched=True)
             elif kind == _TIMER:
                 shown = self._own_clock.shown(now)
                 next_due = self._next(self._own_clock.shown(due), self._node.timers[name], shown)

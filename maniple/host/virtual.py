@@ -26,7 +26,7 @@ Tap = Callable[[Envelope, Time], None]
 Factory = Callable[[int], Node]
 """Makes a node, given its incarnation."""
 
-_DELIVERY, _TIMER, _FLUSH, _CRASH, _RESTART, _FREEZE, _LEASE, _THAW = range(8)
+_DELIVERY, _TIMER, _FLUSH, _CRASH, _RESTART, _FREEZE, _LEASE, _THAW, _HANDOVER = range(9)
 
 
 class _Seat:
@@ -123,6 +123,10 @@ class VirtualHost:
                 self._push(time + FLUSH_PERIOD, _FLUSH, receiver, life=number)
                 self._tell(receiver)
                 self._send(seat.runner.flush(self._network.take_decided(receiver), seat.shows(time)))
+            elif kind == _HANDOVER:
+                assert envelope is not None
+                if seat.runner.is_news(envelope):
+                    self._send(seat.runner.receive(envelope, seat.shows(time), latched=True))
             elif kind == _LEASE:
                 self._tell_life(receiver, False)
             elif kind == _THAW and time >= seat.frozen_until:
@@ -178,9 +182,10 @@ class VirtualHost:
         self._start(name)
         self._tell_life(name, True)
         self._tell(name)
-        shown = seat.shows(self.now)
         for wanted in sorted(seat.runner.node.subscriptions & self._latched.keys()):
-            self._send(seat.runner.receive(self._latched[wanted], shown, latched=True))
+            envelope = self._latched[wanted]
+            due = self._network.hand_over(envelope, name, self.now)
+            self._push(due, _HANDOVER, name, life=life, envelope=envelope)
 
     def _freeze(self, seat: _Seat, freeze: Freeze) -> None:
         """Let a node stand still. What is sent to it waits; its timers skip; its lease runs out."""
@@ -254,9 +259,17 @@ class VirtualHost:
                 )
                 heappush(self._events, event)
 
-    def _push(self, due: Time, kind: int, receiver: str, name: str = "", life: int = 0) -> None:
+    def _push(
+        self,
+        due: Time,
+        kind: int,
+        receiver: str,
+        name: str = "",
+        life: int = 0,
+        envelope: Envelope | None = None,
+    ) -> None:
         self._count += 1
-        heappush(self._events, (due, kind, receiver, "", name, life, self._count, None))
+        heappush(self._events, (due, kind, receiver, "", name, life, self._count, envelope))
 
 
 def timer_phase(seed: int, node: str, timer: str, period: Duration) -> Duration:

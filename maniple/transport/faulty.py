@@ -85,6 +85,13 @@ class FaultyReceiver:
             return (Arrival(delay, envelope),)
         return Arrival(delay, envelope), Arrival(copy_delay, envelope)
 
+    def delay(self, envelope: Envelope) -> Duration:
+        """How long a latched value is held back that a router hands over: asking again would get it in the
+        end, so it is not lost, but no sooner than over the link it came from."""
+        link, clock = self._links.get((envelope.source, envelope.topic)) or self._link(envelope)
+        true = clock.true(envelope.stamp_ns)
+        return link.decide(envelope.incarnation, envelope.seq, true, len(envelope.data)).delay
+
     def take_decided(self) -> tuple[Decided, ...]:
         """The decisions since the last call."""
         decided = tuple(self._decided)

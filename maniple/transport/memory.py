@@ -55,6 +55,12 @@ class MemoryNetwork:
                 deliveries.append((now + latency + delay, name, arrived))
         return deliveries
 
+    def hand_over(self, envelope: Envelope, receiver: str, now: Time) -> Time:
+        """When a latched value arrives at a node that asks for it now."""
+        near = envelope.source == receiver or envelope.source in self._beside[receiver]
+        latency = self._latency["hardware" if near else topic(envelope.topic).network]
+        return now + latency + self._receivers[receiver].delay(envelope)
+
     def take_decided(self, receiver: str) -> tuple[Decided, ...]:
         """The fault decisions at one receiver since the last call."""
         return self._receivers[receiver].take_decided()

@@ -137,3 +137,12 @@ def test_decisions_say_what_the_link_decides() -> None:
         assert arrivals == ([] if decision.dropped else [decision.delay, *copies])
         assert (decided.dropped, decided.cause) == (decision.dropped, decision.cause)
         assert decided.copy_delay_ns == (-1 if decision.copy_delay is None else decision.copy_delay)
+
+
+def test_what_is_handed_over_is_as_late_as_on_its_link_and_never_lost() -> None:
+    receiver = receiver_with("controller", Fault(latency_s=2.0, jitter_s=0.5, loss=1.0))
+    waits = [receiver.delay(envelope(seq)) for seq in range(50)]
+    assert all(1500 * MILLISECOND <= wait <= 2500 * MILLISECOND for wait in waits)
+    assert len(set(waits)) > 40
+    assert receiver.delay(envelope(0, STOP, "operator")) == 0
+    assert receiver.take_decided() == ()
