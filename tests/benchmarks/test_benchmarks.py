@@ -9,7 +9,12 @@ from benchmarks.__main__ import NAMES, benchmark, machine, main
 from benchmarks.common import Budget, Row, best_of, cells, cpu_us, figure, quantile, show
 
 
-@pytest.mark.parametrize("name", NAMES)
+SLOW = ("agent_footprint",)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in NAMES]
+)
 def test_rows_are_whole(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     chosen = benchmark(name)
     rows = chosen.rows(True)

@@ -61,6 +61,7 @@ def test_passes_between_walls(tmp_path: Path, model: str) -> None:
     assert poses(result.log)[-1, 0, 0] > 4.5
 
 
+@pytest.mark.slow
 def test_the_paper_scene_with_the_clamp(tmp_path: Path) -> None:
     result = maniple.run(PAPER, virtual=True, log=tmp_path / "run.mcap", overrides=["guard.clearance=true"])
     assert result.completed

@@ -154,6 +154,7 @@ def test_three_robots(tmp_path: Path) -> None:
     assert (speeds(truths(run.log)[-1]) < 1e-3).all()
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_everything(tmp_path: Path) -> None:
     """At real speed, the slowest to stand."""
     with under_way(tmp_path, speed=1.0) as (run, _):

@@ -70,6 +70,7 @@ def test_a_row_is_what_the_same_run_alone_amounts_to(whole: Path, tmp_path: Path
         assert row["error"] is None
 
 
+@pytest.mark.slow
 def test_killed_in_the_middle_it_goes_on_where_it_was(whole: Path, tmp_path: Path) -> None:
     """The same bytes as undisturbed in one process: neither the order nor the number of jobs matters."""
     file, out = write_sweep(tmp_path, MANY), tmp_path / "out"
@@ -89,6 +90,7 @@ def test_killed_in_the_middle_it_goes_on_where_it_was(whole: Path, tmp_path: Pat
     assert (out / "errors.png").read_bytes() == (whole / "errors.png").read_bytes()
 
 
+@pytest.mark.slow
 def test_interrupted_it_says_so_and_goes_on(whole: Path, tmp_path: Path) -> None:
     file, out = write_sweep(tmp_path, MANY), tmp_path / "out"
     process = begin(file, out, "--jobs", 2)
@@ -103,6 +105,7 @@ def test_interrupted_it_says_so_and_goes_on(whole: Path, tmp_path: Path) -> None
     assert (out / TABLE).read_bytes() == (whole / TABLE).read_bytes()
 
 
+@pytest.mark.slow
 def test_more_seeds_need_only_the_new_runs(whole: Path, tmp_path: Path) -> None:
     file, out = write_sweep(tmp_path), tmp_path / "out"
     finished(file, out)
