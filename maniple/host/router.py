@@ -53,7 +53,7 @@ class Service:
         self._store = LatchedStore(self._lives)
         self._alive: set[tuple[str, int]] = set()
         self._shown: set[str] = set()
-        self._begun = scenario is None or plan_of(scenario, NEVER) == FaultPlan(since_ns=NEVER)
+        self._begun = scenario is None
         self._lock = threading.Lock()
         self._changed = threading.Event()
         self._settled_at = time.monotonic() + grace_s
@@ -80,8 +80,8 @@ class Service:
         return plan if isinstance(plan, FaultPlan) else FaultPlan(since_ns=NEVER)
 
     def begin(self) -> None:
-        """Publish the scenario's plan once every robot and the controller were seen, if it has one and none
-        is known; the run begins with that."""
+        """Publish the scenario's plan once every robot and the controller were seen, if none is known: the
+        run begins with that, whether there is anything in the plan or not."""
         if self._begun or self._scenario is None or not self.settled:
             return
         with self._lock:

@@ -50,7 +50,7 @@ class Delivery:
         """A receiver's journal."""
         self.links.journal(journal)
         for call in journal.calls:
-            if call.kind == "message" and call.name != topics.HOST_REFUSED:
+            if call.kind == "message" and call.source != journal.source and call.name != topics.HOST_REFUSED:
                 self._taken[journal.source, call.source, call.name, call.incarnation].append(call.seq)
 
     def decisions(self, decisions: Decisions) -> None:

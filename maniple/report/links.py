@@ -98,7 +98,7 @@ class LinkCounts:
         self._refused = 0
 
     def journal(self, journal: Journal) -> None:
-        """A receiver's journal."""
+        """A receiver's journal; what it said itself in an earlier life came over no link."""
         receiver = journal.source
         self._until[receiver] = max(self._until[receiver], *(call.now_ns for call in journal.calls), 0)
         for call in journal.calls:
@@ -106,7 +106,7 @@ class LinkCounts:
                 continue
             if call.name == topics.HOST_REFUSED:
                 self._refusal(call, receiver)
-            elif _faults_apply(call.name):
+            elif call.source != receiver and _faults_apply(call.name):
                 flow = self._flow(receiver, call.source, call.name, call.incarnation)
                 flow.saw(call.seq)
                 flow.taken.append(call.seq)

@@ -36,6 +36,7 @@ BANDS = {
     "tracking": (GREEN, ""),
     "holding": (ORANGE, "\\\\"),
     "done": (BLUE, ""),
+    "emergency": (RED, ""),
     "stopped": (RED, "xx"),
     "fault": (PURPLE, "++"),
     "lost": (INK, ""),

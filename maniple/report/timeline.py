@@ -104,10 +104,10 @@ def _lasting(for_s: float | None) -> str:
 
 
 def _changes(before: FormationState | None, now: FormationState) -> Iterable[str]:
-    """What is new in a state."""
+    """What is new in a state. Of a wait it is told why it began, not who joins in and who leaves."""
     if before is None or now.phase != before.phase:
         yield f"{now.phase}{': ' * bool(now.reason)}{now.reason}"
-    elif now.reason and now.reason != before.reason:
+    elif now.reason and now.reason != before.reason and not (now.waits_for and before.waits_for):
         yield now.reason
     if before is None:
         return

@@ -12,6 +12,7 @@ import pytest
 
 from maniple.core import codec, topics
 from maniple.core.errors import TransportError
+from maniple.core.faults import NEVER
 from maniple.core.messages import EmergencyStop, FaultPlan
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import SECOND
@@ -151,16 +152,21 @@ def test_the_run_begins_once_all_were_seen() -> None:
         assert heard.empty()
 
 
-def test_without_faults_there_is_no_plan() -> None:
+def test_a_run_without_faults_has_a_beginning_too() -> None:
+    clock = Anchor.here()
     with (
-        router(scenario_with(), grace_s=0.0) as (endpoint, _),
+        router(scenario_with(), clock, grace_s=0.0) as (endpoint, _),
         ZenohSession.client(endpoint, "test") as session,
     ):
+        before = clock.now()
         for node in ("r1", "controller"):
             session.announce(node, 1)
-        session.settle()
-        time.sleep(0.2)
-        assert session.ask(topics.PLAN) == {}
+        eventually(lambda: plan_kept(session).since_ns < NEVER)
+        plan = plan_kept(session)
+        assert before <= plan.since_ns <= clock.now()
+        assert plan == FaultPlan(
+            since_ns=plan.since_ns, source="router", incarnation=1, stamp_ns=plan.since_ns
+        )
 
 
 def restoring(session: ZenohSession, clock: Anchor, *held: tuple[str, bytes], **lives: int) -> None:

@@ -105,6 +105,10 @@ def test_every_receiver_and_every_life_is_a_link_of_its_own() -> None:
     assert totals(lives) == (4, 4, 0, 0, 0)
 
 
+def test_what_a_node_said_in_an_earlier_life_came_over_no_link() -> None:
+    assert totals(journal(accepted(0, topics.FORMATION_STATE, "controller"))) == (0, 0, 0, 0, 0)
+
+
 def test_only_links_that_faults_apply_to_count() -> None:
     calls = journal(
         accepted(0, topics.motion("r1"), "simulator"),

@@ -86,6 +86,22 @@ def told(*plans: FaultPlan, end_s: float = 100) -> list[tuple[float, str]]:
     return [(event.t, event.what) for event in events_of([], [], [], at(5), (), plans, at(5 + end_s))]
 
 
+def test_of_a_wait_it_is_told_why_it_began() -> None:
+    states = [
+        state(0),
+        state(1, waits_for=("r3",), reason="waits for r3: it is not there"),
+        state(2, waits_for=("r1", "r3"), reason="waits for r1, r3: they are not there"),
+        state(3),
+        state(4, waits_for=("r1",), reason="waits for r1: old"),
+    ]
+    events = events_of(states, [], [], 0)
+    assert [(event.t, event.what) for event in events] == [
+        (0.0, "running"),
+        (1.0, "waits for r3: it is not there"),
+        (4.0, "waits for r1: old"),
+    ]
+
+
 def test_faults_begin_when_they_are_planned() -> None:
     plan = FaultPlan(
         since_ns=at(5),
