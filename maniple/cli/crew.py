@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
-from maniple.cli.outcome import part
 from maniple.cli.processes import LIFE, Child, Process, finish_all
 from maniple.cli.upkeep import SIMULATOR, Death, Moment, Upkeep
 from maniple.core.errors import RunError
@@ -13,6 +12,7 @@ from maniple.core.scenario.parse import to_json
 from maniple.core.scenario.types import Scenario
 from maniple.host.clock import Anchor
 from maniple.host.liveness import Life
+from maniple.recording.writer import part
 
 LEAST = 3
 """Robots that make a formation."""

@@ -234,8 +234,10 @@ def _recorder(
 
 def _first_free(log: Path, next: bool, write: Callable[[Path], "RecordingWriter"]) -> "RecordingWriter":
     """A recording in `log` or, where that may be, in the `next` part of it that does not exist."""
+    from maniple.recording.writer import part
+
     for number in count(1):
-        path = log if number == 1 else log.with_name(f"{log.stem}-{number}{log.suffix}")
+        path = part(log, number)
         try:
             return write(path)
         except RecordingError:

@@ -53,8 +53,3 @@ def recordings_of(logs: Sequence[Path]) -> list[Recording]:
     if problem and not opened:
         raise problem
     return opened
-
-
-def part(log: Path, number: int) -> Path:
-    """Where the part of this number of a recording goes: LOG.mcap, LOG-2.mcap, ..."""
-    return log if number == 1 else log.with_name(f"{log.stem}-{number}{log.suffix}")

@@ -174,3 +174,8 @@ def _create(path: Path) -> Any:
         raise RecordingError(f"{path} exists already; a recording is never overwritten") from None
     except OSError as error:
         raise RecordingError(f"can't create {path}: {error.strerror}") from None
+
+
+def part(log: Path, number: int) -> Path:
+    """Where the part of this number of a recording goes: LOG.mcap, LOG-2.mcap, ..."""
+    return log if number == 1 else log.with_name(f"{log.stem}-{number}{log.suffix}")

@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 import maniple
-from maniple.cli.outcome import figures_of, part, recordings_of
+from maniple.cli.outcome import figures_of, recordings_of
 from maniple.core.errors import RecordingError
 from maniple.recording.reader import read
-from maniple.recording.writer import RecordingWriter
+from maniple.recording.writer import RecordingWriter, part
 from tests.cli.scenes import platoon
 
 
