@@ -106,11 +106,11 @@ class RealtimeHost:
         """Subscribe, fetch what is latched, and show that the node lives; returns what is latched. What only
         the node itself says is of interest as the last word of its former life."""
         wanted = sorted({*self._node.subscriptions, topics.PLAN})
+        self._fleet.watch(self._inbox.life)  # first: who spoke already is known when the first word arrives
         for name in wanted:
             session = self._session(name)
             if session is not None and topics.sender_of(name) != self._node.name:
                 session.subscribe(name, self._inbox.arrived, self._inbox.unfit, topics.has_one_sender)
-        self._fleet.watch(self._inbox.life)
         latched = [
             Arrived(topic, data, time.monotonic_ns())
             for name in wanted

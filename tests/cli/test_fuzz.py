@@ -137,6 +137,7 @@ def assert_counted(sent: Mapping[str, int], recording: Recording) -> None:
     """Each node has counted all that was sent on its topics. The recorder has what it was fast enough for of
     those on which anybody may speak."""
     refused: defaultdict[str, Counter[str]] = defaultdict(Counter)
+    reasons: Counter[tuple[str, str, str, str]] = Counter()
     for entry in recording.messages(lambda topic: topic.startswith("journal/")):
         if isinstance(journal := entry.message, Journal):
             for told in refusals(journal):
@@ -146,7 +147,8 @@ def assert_counted(sent: Mapping[str, int], recording: Recording) -> None:
     wanted = wanted_by(recording.scenario)
     for name in sorted(sent):
         counts = {node: refused[node][name] for node, names in wanted.items() if name in names}
-        assert set(counts.values()) <= {sent[name]}, (name, sent[name], counts)
+        why = {key: count for key, count in reasons.items() if key[1] == name}
+        assert set(counts.values()) <= {sent[name]}, (name, sent[name], why)
         if name in kept and not topics.has_one_sender(name):
             assert recorded[name] > 0.5 * sent[name], name
 

@@ -410,3 +410,29 @@ def test_an_emergency_stop_survives_the_router() -> None:
             eventually(lambda: told(late, EmergencyStop))
         assert len(told(ordered, EmergencyStop)) == 1
         assert told(ordered, Refused) == []  # said again, it is dropped silently
+
+
+def test_who_spoke_before_a_node_came_is_believed() -> None:
+    """The first that arrives may be of a life whose token was there long before."""
+    scenario = scenario_with()
+    ended = threading.Event()
+    with platoon(scenario) as (endpoint, _), ZenohSession.client(endpoint, "test") as session:
+        session.announce("controller", 1)
+
+        def speak() -> None:
+            seq = 0
+            while not ended.wait(0.0005):
+                said = command(source="controller", seq=seq, incarnation=1)
+                session.put(topics.command("r1"), codec.encode(said))
+                seq += 1
+
+        speaker = start(speak)
+        try:
+            for _ in range(5):
+                reporter = Reporter()
+                with hosted(endpoint, reporter, scenario):
+                    eventually(lambda told=reporter: any(isinstance(m, Command) for _, m in told.heard))
+                assert [m for _, m in reporter.heard if isinstance(m, Refused)] == []
+        finally:
+            ended.set()
+            speaker.join(DEADLINE_S)
