@@ -429,10 +429,15 @@ def test_who_spoke_before_a_node_came_is_believed() -> None:
         speaker = start(speak)
         try:
             for _ in range(5):
-                reporter = Reporter()
-                with hosted(endpoint, reporter, scenario):
-                    eventually(lambda told=reporter: any(isinstance(m, Command) for _, m in told.heard))
-                assert [m for _, m in reporter.heard if isinstance(m, Refused)] == []
+                assert not refusals_of_a_newcomer(endpoint, scenario)
         finally:
             ended.set()
             speaker.join(DEADLINE_S)
+
+
+def refusals_of_a_newcomer(endpoint: str, scenario: Scenario) -> list[Refused]:
+    """What a node was not let hear until it heard a command."""
+    reporter = Reporter()
+    with hosted(endpoint, reporter, scenario):
+        eventually(lambda: any(isinstance(message, Command) for _, message in reporter.heard))
+    return [message for _, message in reporter.heard if isinstance(message, Refused)]
