@@ -7,7 +7,6 @@ from maniple.cli import (
     fault_command,
     goal_command,
     layer_commands,
-    log_commands,
     node_commands,
     plan_command,
     report_command,
@@ -17,6 +16,7 @@ from maniple.cli import (
     stop_command,
     sweep_command,
 )
+from maniple.cli.log import group
 from maniple.core.version import __version__
 
 app = typer.Typer(
@@ -50,7 +50,7 @@ for _name, _about in node_commands.COMMANDS.items():
 app.add_typer(fault_command.app, name="fault")
 app.add_typer(goal_command.app, name="goal")
 app.add_typer(layer_commands.app, name="layer")
-app.add_typer(log_commands.app, name="log")
+app.add_typer(group.app, name="log")
 app.add_typer(scenario_commands.app, name="scenario")
 
 

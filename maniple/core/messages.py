@@ -428,6 +428,9 @@ class Journal(Message, frozen=True, kw_only=True, gc=False):
     """The calls into one node since the last of these, in order."""
 
     calls: tuple[Call, ...]
+    sent: dict[str, int] = {}
+    """How many messages this life has sent so far on each topic on which it sent since the last of these; the
+    journal itself is left out."""
 
 
 class Alive(Message, frozen=True, kw_only=True, gc=False):

@@ -6,6 +6,7 @@ Both hosts use it, so a node can't tell them apart. No I/O here.
 import zlib
 from collections import Counter
 from collections.abc import Sequence
+from functools import lru_cache
 
 import msgspec
 
@@ -36,6 +37,7 @@ class NodeRunner:
         self.node = node
         self.incarnation = incarnation
         self._sent: dict[str, int] = {}
+        self._told_sent: dict[str, int] = {}
         self._inlets = Inlets(rates or Rates())
         self._journal = JournalBuffer()
         self._counters: Counter[str] = Counter()
@@ -111,9 +113,21 @@ class NodeRunner:
                 sent += self._report(now)
         if decided:
             sent.append(self._stamp(topics.DECISIONS, Decisions(decided=tuple(decided)), now))
-        if calls := self._journal.take():
-            sent.append(self._stamp(topics.journal(self.node.name), Journal(calls=calls), now))
+        calls, counts = self._journal.take(), self._newly_sent()
+        if calls or counts:
+            journal = topics.journal(self.node.name)
+            sent.append(self._stamp(journal, Journal(calls=calls, sent=counts), now))
         return sent
+
+    def _newly_sent(self) -> dict[str, int]:
+        """How many messages went out on each topic on which some did since this was last asked."""
+        changed = {
+            topic: count
+            for topic, count in self._sent.items()
+            if self._told_sent.get(topic) != count and _is_counted(topic)
+        }
+        self._told_sent |= changed
+        return changed
 
     def _report(self, now: Time) -> list[Envelope]:
         """What was counted: to the node, and of the links to everybody."""
@@ -159,3 +173,10 @@ class NodeRunner:
         )
         data = codec.encode(stamped)
         return Envelope(topic, name, self.incarnation, seq, now, data, zlib.crc32(data), source is not None)
+
+
+@lru_cache(4096)
+def _is_counted(topic: str) -> bool:
+    """Whether the journal says how many were sent: not of itself, nor of what never leaves the host."""
+    row = topics.topic(topic)
+    return row.network != "host" and row.type is not Journal

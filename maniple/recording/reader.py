@@ -83,7 +83,8 @@ class Recording:
             ) from None
 
     def messages(self, wanted: Callable[[str], bool] | None = None) -> Iterator[Recorded]:
-        """All messages in the order of (log time, place in the file); only those of `wanted` topics.
+        """All messages in the order of (log time, place in the file); only those of `wanted` topics. What was
+        derived for viewers is not among them.
 
         Raises:
             RecordingError: the file is damaged.
@@ -108,13 +109,14 @@ class Recording:
                 yield record, message
 
     def _name(self, channel: int, wanted: Callable[[str], bool] | None) -> str:
-        """The topic of a channel; empty where it is not wanted."""
+        """The topic of a channel; empty where it is not wanted, or one that is only there for viewers."""
         if channel not in self._channels:
             raise RecordingError(
                 f"{self.path} is damaged: a message is of channel {channel}, not in the file"
             )
-        name = self._channels[channel].topic.removeprefix(f"{self.prefix}/")
-        return name if wanted is None or wanted(name) else ""
+        key, prefix = self._channels[channel].topic, f"{self.prefix}/"
+        name = key.removeprefix(prefix)
+        return name if key.startswith(prefix) and (wanted is None or wanted(name)) else ""
 
     def _in_order(self) -> Iterator[RawMessage]:
         """Merges chunks whose times overlap: a message is out as soon as no later chunk can precede it."""

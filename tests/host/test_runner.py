@@ -213,3 +213,12 @@ def test_news_is_what_is_newer_than_what_was_received(runner: NodeRunner) -> Non
         True,
     ]
     assert runner.is_news(sent(command(), topic, "controller", 0, incarnation=2))
+
+
+def test_the_journal_says_how_many_were_sent(runner: NodeRunner) -> None:
+    runner.timer("report", START + 1)
+    runner.timer("report", START + 2)
+    assert journal_of(runner.flush((), START + 3)).sent["robot/r1/odometry"] == 2
+    runner.timer("report", START + 4)
+    told = journal_of(runner.stop((), START + 5)).sent
+    assert told == {"robot/r1/odometry": 4}, "the last of on_stop too; not the journal, nor what stays here"

@@ -1,4 +1,4 @@
-"""`maniple log ...`: what can be done with recordings."""
+"""`maniple log info`."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,17 +13,9 @@ from rich.text import Text
 from maniple.recording.info import ChannelInfo, Info, Stream, describe
 from maniple.recording.reader import read
 
-app = typer.Typer(help="Work with recordings.", no_args_is_help=True)
-
 _GAPS_SHOWN = 3
 
 
-@app.callback()
-def _group() -> None:
-    pass
-
-
-@app.command()
 def info(
     file: Annotated[Path, typer.Argument(help="Recording (MCAP) made by maniple, finished or not.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,

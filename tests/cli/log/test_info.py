@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from maniple.cli.log_commands import app
+from maniple.cli.log.group import app
 from maniple.core.errors import RecordingError
 from tests.recording.traffic import Sent, drive, record, traffic
 

@@ -1,0 +1,1 @@
+"""`maniple log ...`: a module for each command; `group.py` lists them."""

@@ -1,0 +1,15 @@
+"""`maniple log ...`: what can be done with recordings."""
+
+import typer
+
+from maniple.cli.log.info import info
+
+app = typer.Typer(help="Work with recordings.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    pass
+
+
+app.command()(info)
