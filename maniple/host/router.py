@@ -61,13 +61,13 @@ class Service:
 
     def start(self) -> None:
         """Subscribe, answer, and show that a router is here."""
+        self._session.watch(self._life)  # first: who speaks is known by then
         for row in topics.TOPICS:
             if row.latched:
                 expression = row.pattern.replace("{id}", "*")
                 self._session.subscribe(expression, self._keep, self._unfit)
                 self._session.serve(expression, self._store.answer)
         self._session.subscribe(f"{TOLD}/**", self._told, self._unfit)
-        self._session.watch(self._life)
         self._session.serve("incarnation/*", self._number)
         self._session.serve("claim/*", self._claim)
         self._session.serve("claim/*/*", self._claim)
