@@ -3,12 +3,9 @@
 Both hosts use it, so a node can't tell them apart. No I/O here.
 """
 
-import zlib
 from collections import Counter
 from collections.abc import Sequence
 from functools import lru_cache
-
-import msgspec
 
 from maniple.core import codec, topics
 from maniple.core.envelope import Envelope
@@ -18,6 +15,7 @@ from maniple.core.scenario.types import Rates
 from maniple.core.time import MILLISECOND, SECOND, Duration, Time
 from maniple.host.inlets import Inlets
 from maniple.host.journal import JournalBuffer
+from maniple.host.stamper import Stamper
 
 FLUSH_PERIOD: Duration = 200 * MILLISECOND
 """How often a host sends a node's journal: what a killed process had not yet journaled."""
@@ -36,7 +34,9 @@ class NodeRunner:
     def __init__(self, node: Node, incarnation: int, rates: Rates | None = None) -> None:
         self.node = node
         self.incarnation = incarnation
-        self._sent: dict[str, int] = {}
+        stamper = Stamper(node.name, incarnation)
+        self._stamp = stamper.stamp
+        self._sent = stamper.sent
         self._told_sent: dict[str, int] = {}
         self._inlets = Inlets(rates or Rates())
         self._journal = JournalBuffer()
@@ -156,23 +156,13 @@ class NodeRunner:
         """Give the node a message that this host made; the journal keeps its bytes."""
         if topic not in self.node.subscriptions:
             return []
-        made = self._stamp(topic, message, now, source=_HOST)
+        made = self._stamp(topic, message, now, host=_HOST)
         self._journal.received(made, now)
         received = Received(topic, codec.decode(topic, made.data))
         return self._outgoing(self.node.on_message(received, now), now)
 
     def _outgoing(self, outgoing: Sequence[Outgoing], now: Time) -> list[Envelope]:
         return [self._stamp(topic, message, now) for topic, message in outgoing]
-
-    def _stamp(self, topic: str, message: Message, now: Time, source: str | None = None) -> Envelope:
-        seq = self._sent.get(topic, 0)
-        self._sent[topic] = seq + 1
-        name = self.node.name if source is None else source
-        stamped = msgspec.structs.replace(
-            message, source=name, incarnation=self.incarnation, seq=seq, stamp_ns=now
-        )
-        data = codec.encode(stamped)
-        return Envelope(topic, name, self.incarnation, seq, now, data, zlib.crc32(data), source is not None)
 
 
 @lru_cache(4096)
