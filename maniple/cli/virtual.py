@@ -1,6 +1,6 @@
 """A run in virtual time, in this process."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from maniple.cli.interrupt import on_interrupt
@@ -26,8 +26,10 @@ def run_virtual(
     duration_s: float | None,
     on_progress: Callable[[Progress], None],
     on_notice: Callable[[str], None] = lambda _: None,
+    inputs: Sequence[tuple[Time, Envelope]] = (),
 ) -> Outcome:
     """Run to the end of the task, or of `duration_s`; `on_notice` gets what the scenario asks for in vain.
+    `inputs` are what operators say, and when.
 
     Raises:
         RecordingError: the recording can't be written.
@@ -61,7 +63,7 @@ def run_virtual(
         host.halt()
 
     makers = factories(scenario)
-    host = VirtualHost([make(1) for make in makers.values()], scenario, tap, makers)
+    host = VirtualHost([make(1) for make in makers.values()], scenario, tap, makers, inputs)
     recording = RecordingWriter(
         log, to_json(scenario), metadata, prefix=scenario.network.prefix, now=host.now
     )

@@ -8,14 +8,17 @@ what its own clock shows.
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from heapq import heappop, heappush
 
+from maniple.core import codec
 from maniple.core.clocks import NodeClock, node_clock
 from maniple.core.envelope import Envelope
-from maniple.core.faults import beside, dies_with, plan_of
+from maniple.core.faults import NEVER, back_at, beside, dead, dies_by, dies_with, plan_of
+from maniple.core.messages import FaultPlan
 from maniple.core.node import Node
 from maniple.core.scenario.types import Crash, Freeze, Scenario
 from maniple.core.streams import stream
 from maniple.core.time import VIRTUAL_EPOCH, Duration, Time, from_seconds
-from maniple.core.topics import topic
+from maniple.core.topics import PLAN, topic
+from maniple.host.latched import mark_of
 from maniple.host.liveness import Liveness
 from maniple.host.runner import FLUSH_PERIOD, NodeRunner
 from maniple.transport.memory import MemoryNetwork
@@ -26,20 +29,22 @@ Tap = Callable[[Envelope, Time], None]
 Factory = Callable[[int], Node]
 """Makes a node, given its incarnation."""
 
-_DELIVERY, _TIMER, _FLUSH, _CRASH, _RESTART, _FREEZE, _LEASE, _THAW, _HANDOVER = range(9)
+_DELIVERY, _TIMER, _FLUSH, _CRASH, _RESTART, _FREEZE, _LEASE, _THAW, _HANDOVER, _INPUT = range(10)
 
 
 class _Seat:
     """One life of a node in this host: its runner, its clock, and what it is told of the others."""
 
-    __slots__ = ("clock", "frozen_until", "liveness", "runner")
+    __slots__ = ("began", "clock", "froze", "frozen_until", "liveness", "runner")
 
-    def __init__(self, node: Node, life: int, scenario: Scenario, clock: NodeClock | None) -> None:
+    def __init__(self, node: Node, life: int, scenario: Scenario, clock: NodeClock | None, now: Time) -> None:
         self.runner = NodeRunner(node, life, scenario.rates)
         self.clock = clock
         self.liveness = Liveness(
             node.name, from_seconds(scenario.network.lease_s), local=beside(node.name, scenario)
         )
+        self.began = self.froze = now
+        """Since when it lives, and when its last freeze was due."""
         self.frozen_until: Time = 0
 
     def shows(self, now: Time) -> Time:
@@ -52,7 +57,11 @@ class _Seat:
 
 
 class VirtualHost:
-    """Runs nodes against an in-process network. Those that die by the scenario live again by `factories`."""
+    """Runs nodes against an in-process network. Those that die by the fault plan live again by `factories`.
+
+    `inputs` come from outside, each at its time: what operators say. A fault plan among them takes the place
+    of the one in force, if it is newer.
+    """
 
     def __init__(
         self,
@@ -60,10 +69,17 @@ class VirtualHost:
         scenario: Scenario,
         tap: Tap,
         factories: Mapping[str, Factory] | None = None,
+        inputs: Sequence[tuple[Time, Envelope]] = (),
     ) -> None:
         self.now: Time = VIRTUAL_EPOCH
         self._scenario = scenario
         self._plan = plan_of(scenario, VIRTUAL_EPOCH)
+        self._plan_mark = (-1, -1)
+        self._plans = 0
+        self._fates: list[Crash | Freeze] = []
+        self._first_fate = 0
+        """Those before are of plans that no longer hold."""
+        self._inputs = inputs
         self._lease = from_seconds(scenario.network.lease_s)
         self._factories = dict(factories or {})
         self._incarnations = {node.name: 1 for node in nodes}
@@ -89,10 +105,10 @@ class VirtualHost:
             self._start(name)
         for name in names:
             self._tell(name)
-        for index, crash in enumerate(self._plan.crashes):
-            self._push(self.now + from_seconds(crash.at_s), _CRASH, crash.node, life=index)
-        for index, freeze in enumerate(self._plan.freezes):
-            self._push(self.now + from_seconds(freeze.at_s), _FREEZE, freeze.node, life=index)
+        for event in _fates(self._plan):
+            self._await_fate(event, self.now + from_seconds(event.at_s))
+        for due, envelope in self._inputs:
+            self._push(due, _INPUT, "", envelope=envelope)
 
     def run(self, until: Time) -> None:
         """Go on until the time `until`, or until `halt` is called; at once if it was called before."""
@@ -102,7 +118,11 @@ class VirtualHost:
             self.now = time
             seat = self._seats.get(receiver)
             if kind == _RESTART:
-                self._restart(receiver)
+                if number == self._plans:
+                    self._restart(receiver)
+            elif kind == _INPUT:
+                assert envelope is not None
+                self._input(envelope)
             elif seat is None:
                 continue
             elif kind <= _FLUSH and time < seat.frozen_until:
@@ -110,10 +130,9 @@ class VirtualHost:
             elif kind == _DELIVERY:
                 assert envelope is not None
                 self._send(seat.runner.receive(envelope, seat.shows(time)))
-            elif kind == _CRASH:
-                self._crash(self._plan.crashes[number])
-            elif kind == _FREEZE:
-                self._freeze(seat, self._plan.freezes[number])
+            elif kind in (_CRASH, _FREEZE):
+                if number >= self._first_fate:
+                    self._meet(seat, self._fates[number])
             elif number != seat.runner.incarnation:
                 continue  # of a former life
             elif kind == _TIMER:
@@ -148,7 +167,7 @@ class VirtualHost:
                 self._tell_life(name, False)
 
     def _seat(self, node: Node, life: int) -> _Seat:
-        return _Seat(node, life, self._scenario, self._clocks.get(node.name))
+        return _Seat(node, life, self._scenario, self._clocks.get(node.name), self.now)
 
     def _start(self, name: str) -> None:
         """Begin a life of a node."""
@@ -160,6 +179,48 @@ class VirtualHost:
         self._push(self.now + FLUSH_PERIOD, _FLUSH, name, life=life)
         self._send(seat.runner.start(seat.shows(self.now)))
 
+    def _input(self, envelope: Envelope) -> None:
+        """Let somebody outside say something."""
+        if envelope.topic == PLAN and mark_of(envelope) > self._plan_mark:
+            plan = codec.decode(PLAN, envelope.data)
+            assert isinstance(plan, FaultPlan)
+            self._plan_mark = mark_of(envelope)
+            self._replan(plan)
+        self._send((envelope,))
+
+    def _replan(self, plan: FaultPlan) -> None:
+        """Act by this plan from now on. What it says late is done late: a crash that a node has lived to see,
+        and what is left of a freeze."""
+        self._plan = plan
+        self._network.replan(plan)
+        self._plans += 1
+        self._first_fate = len(self._fates)
+        for name in sorted(self._factories.keys() - self._seats.keys()):
+            self._await_return(name)
+        for event in _fates(plan):
+            at, seat = plan.since_ns + from_seconds(event.at_s), self._seats.get(event.node)
+            over = seat is None or at <= (seat.began if isinstance(event, Crash) else seat.froze)
+            if at > self.now or not over:
+                self._await_fate(event, max(at, self.now))
+
+    def _await_fate(self, event: Crash | Freeze, due: Time) -> None:
+        kind = _CRASH if isinstance(event, Crash) else _FREEZE
+        self._push(due, kind, event.node, life=len(self._fates))
+        self._fates.append(event)
+
+    def _meet(self, seat: _Seat, event: Crash | Freeze) -> None:
+        """Let a node crash or freeze."""
+        if isinstance(event, Crash):
+            self._crash(event)
+        else:
+            self._freeze(seat, event)
+
+    def _await_return(self, name: str) -> None:
+        """Let a node that is dead live again when the plan says so, if ever."""
+        crash = dead(self._plan, dies_by(name, self._scenario), self.now)
+        if (back := self.now if crash is None else back_at(self._plan, crash)) < NEVER:
+            self._push(back, _RESTART, name, life=self._plans)
+
     def _crash(self, crash: Crash) -> None:
         """End the life of a node, and of those on the same computer, without a word."""
         for name in dies_with(crash.node, self._scenario):
@@ -167,8 +228,7 @@ class VirtualHost:
                 continue
             self._network.take_decided(name)
             self._tell_life(name, False)
-            if crash.restart_after_s is not None and name in self._factories:
-                self._push(self.now + from_seconds(crash.restart_after_s), _RESTART, name)
+            self._await_return(name)
 
     def _restart(self, name: str) -> None:
         """Begin the next life of a node that has died: it gets what is latched."""
@@ -190,7 +250,9 @@ class VirtualHost:
     def _freeze(self, seat: _Seat, freeze: Freeze) -> None:
         """Let a node stand still. What is sent to it waits; its timers skip; its lease runs out."""
         name, life = freeze.node, seat.runner.incarnation
-        until = self.now + from_seconds(freeze.for_s)
+        seat.froze = self._plan.since_ns + from_seconds(freeze.at_s)
+        if (until := seat.froze + from_seconds(freeze.for_s)) <= self.now:
+            return
         if self.now + self._lease < until:
             self._push(self.now + self._lease, _LEASE, name, life=life)
         seat.frozen_until = max(seat.frozen_until, until)
@@ -243,7 +305,7 @@ class VirtualHost:
         now = self.now
         for envelope in envelopes:
             self._tap(envelope, now + self._tap_latency)
-            if self._plan.crashes and topic(envelope.topic).latched:
+            if (self._plan.crashes or self._inputs) and topic(envelope.topic).latched:
                 self._latched[envelope.topic] = envelope
             for due, receiver, delivered in self._network.send(envelope, now):
                 self._count += 1
@@ -270,6 +332,10 @@ class VirtualHost:
     ) -> None:
         self._count += 1
         heappush(self._events, (due, kind, receiver, "", name, life, self._count, envelope))
+
+
+def _fates(plan: FaultPlan) -> tuple[Crash | Freeze, ...]:
+    return (*plan.crashes, *plan.freezes)
 
 
 def timer_phase(seed: int, node: str, timer: str, period: Duration) -> Duration:

@@ -1,15 +1,17 @@
 """Virtual time: order, latency, faults, and the same bytes every time."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from maniple.core import codec, topics
-from maniple.core.envelope import Envelope
-from maniple.core.messages import Alive, Command, Decisions
-from maniple.core.node import Node
+from maniple.core.envelope import Envelope, envelope_of
+from maniple.core.messages import Alive, Command, Decisions, FaultPlan, Goal, Message
+from maniple.core.node import Node, Outgoing, Received
+from maniple.core.scenario.types import Crash, Fault, Freeze
 from maniple.core.time import MILLISECOND, SECOND, VIRTUAL_EPOCH, Time
 from maniple.host.virtual import VirtualHost, timer_phase
 from tests.host.nodes import Answerer, Reporter, scenario_with
@@ -272,3 +274,113 @@ def test_the_same_faults_say_the_same_bytes() -> None:
         "clocks": [{"node": "r2", "offset_s": 7.0, "skew_ppm": -100}],
     }
     assert run(5.0, **plan)[0] == run(5.0, **plan)[0]
+
+
+def told(seconds: float, *plans: tuple[float, FaultPlan], **changes: Any) -> list[Envelope]:
+    """Two reporters and a controller under plans that come while they run."""
+    said: list[Envelope] = []
+    factories: dict[str, Callable[[int], Node]] = {
+        "r1": lambda _: Reporter("r1"),
+        "r2": lambda _: Reporter("r2"),
+        "controller": lambda _: Answerer(("r1", "r2")),
+    }
+    inputs = [_from_operator(at_s, life, plan) for life, (at_s, plan) in enumerate(plans, 1)]
+    nodes: list[Node] = [make(1) for make in factories.values()]
+    host = VirtualHost(
+        nodes, scenario_with(**changes), lambda envelope, _: said.append(envelope), factories, inputs
+    )
+    host.start()
+    host.run(host.now + round(seconds * SECOND))
+    host.stop(["controller", "r1", "r2"])
+    return said
+
+
+def _from_operator(at_s: float, life: int, message: Message) -> tuple[Time, Envelope]:
+    now = VIRTUAL_EPOCH + round(at_s * SECOND)
+    sent = replace(message, source="operator", incarnation=life, stamp_ns=now)
+    return now, envelope_of(topics.PLAN, codec.encode(sent))
+
+
+def reports_between(said: list[Envelope], begin: float, end: float) -> int:
+    """How many odometries of r2 were answered of those sent in that time."""
+    commands = [
+        m
+        for e in said
+        if e.topic == topics.command("r2") and isinstance(m := codec.decode(e.topic, e.data), Command)
+    ]
+    stamps = [(m.answers.stamp_ns - VIRTUAL_EPOCH) / SECOND for m in commands]
+    return sum(begin <= stamp < end for stamp in stamps)
+
+
+PLAN = FaultPlan(since_ns=VIRTUAL_EPOCH)
+
+
+def test_a_plan_that_comes_later_takes_the_place_of_the_one_before() -> None:
+    cut = replace(PLAN, faults=(Fault(source="r2", loss=1.0),))
+    said = told(9.0, (3.0, cut), (6.0, PLAN))
+    assert [reports_between(said, *span) for span in ((0, 3), (3, 6), (6, 8.9))] == [30, 0, 29]
+    assert [e.stamp_ns - VIRTUAL_EPOCH for e in said if e.topic == topics.PLAN] == [3 * SECOND, 6 * SECOND]
+
+
+def test_a_plan_that_is_not_newer_changes_nothing() -> None:
+    cut = replace(PLAN, faults=(Fault(source="r2", loss=1.0),))
+    said = told(6.0, (2.0, cut), (1.0, PLAN))  # the later life came first
+    assert reports_between(said, 2.0, 5.9) == 39
+
+
+@pytest.mark.parametrize("at_s", [4.0, 1.0])
+def test_a_later_plan_may_kill_and_bring_back(at_s: float) -> None:
+    """Also one whose time has passed: done late is done."""
+    crash = replace(PLAN, crashes=(Crash(node="r2", at_s=at_s, restart_after_s=3.0),))
+    lives = lives_of(told(10.0, (2.0, crash)), "r2")
+    assert lives[1] == pytest.approx([0.0, max(at_s, 2.0)], abs=0.11)
+    assert lives[2] == pytest.approx([at_s + 3.0, 10.0], abs=0.11)
+
+
+def test_who_is_dead_for_good_lives_again_when_the_plan_says_so_no_more() -> None:
+    crash = {"node": "r2", "at_s": 1.0}
+    lives = lives_of(told(10.0, (4.0, PLAN), crashes=[crash]), "r2")
+    assert lives[1] == pytest.approx([0.0, 1.0], abs=0.11)
+    assert lives[2] == pytest.approx([4.0, 10.0], abs=0.11)
+
+
+def test_a_crash_that_was_called_off_does_not_happen() -> None:
+    crash = {"node": "r2", "at_s": 5.0}
+    assert lives_of(told(8.0, (4.0, PLAN), crashes=[crash]), "r2")[1][1] == pytest.approx(8.0, abs=0.11)
+
+
+@pytest.mark.parametrize(("at_s", "for_s", "frozen"), [(3.0, 2.0, 2.0), (1.0, 3.0, 2.0), (0.5, 1.0, 0.0)])
+def test_a_later_plan_may_freeze_for_what_is_left(at_s: float, for_s: float, frozen: float) -> None:
+    freeze = replace(PLAN, freezes=(Freeze(node="r2", at_s=at_s, for_s=for_s),))
+    said = told(8.0, (2.0, freeze))
+    reports = [e.stamp_ns for e in said if e.topic == topics.odometry("r2")]
+    assert max(b - a for a, b in pairwise(reports)) == pytest.approx(
+        max(frozen, 0.1) * SECOND, abs=0.11 * SECOND
+    )
+
+
+def test_what_operators_say_is_latched_for_who_comes_later() -> None:
+    goal = replace(Goal(id="here"), source="operator", incarnation=1, stamp_ns=VIRTUAL_EPOCH)
+    said: list[Envelope] = []
+    heard: list[Message] = []
+
+    class Listener(Reporter):
+        def __init__(self, name: str) -> None:
+            super().__init__(name)
+            self.subscriptions = frozenset({topics.FORMATION_GOAL})
+
+        def on_message(self, message: Received, now: Time) -> Sequence[Outgoing]:
+            heard.append(message.message)
+            return ()
+
+    factories: dict[str, Callable[[int], Node]] = {"r2": lambda _: Listener("r2")}
+    inputs = [
+        (VIRTUAL_EPOCH + SECOND, envelope_of(topics.FORMATION_GOAL, codec.encode(goal))),
+        _from_operator(2.0, 1, replace(PLAN, crashes=(Crash(node="r2", at_s=3.0, restart_after_s=1.0),))),
+    ]
+    host = VirtualHost(
+        [Listener("r2")], scenario_with(), lambda envelope, _: said.append(envelope), factories, inputs
+    )
+    host.start()
+    host.run(host.now + 6 * SECOND)
+    assert heard == [goal, goal]
