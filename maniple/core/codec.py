@@ -1,7 +1,7 @@
 """Messages to bytes and back, refusing what must never reach a control law."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from operator import attrgetter
 from types import UnionType
@@ -65,6 +65,13 @@ def unknown_fields(name: str, data: bytes) -> int:
 
 
 @cache
+def float_arrays(kind: type[msgspec.Struct]) -> Mapping[str, int]:
+    """The fields of a type that hold float32 arrays as bytes, with how many columns each has."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: columns for name, hint in hints.items() if (columns := _columns(hint))}
+
+
+@cache
 def _field_names(kind: type[msgspec.Struct]) -> frozenset[str]:
     return frozenset(field.encode_name for field in msgspec.structs.fields(kind))
 
@@ -84,7 +91,7 @@ def _problem_finder(kind: type[msgspec.Struct]) -> Callable[[msgspec.Struct], st
         for name, hint in hints.items()
         if get_origin(hint) is tuple and set(get_args(hint)) <= {float, ...}
     )
-    arrays = tuple((name, 4 * columns) for name, hint in hints.items() if (columns := _columns(hint)))
+    arrays = tuple((name, 4 * columns) for name, columns in float_arrays(kind).items())
     nested = tuple((name, _problem_finder(part)) for name, hint in hints.items() if (part := _part(hint)))
     trees = tuple(name for name, hint in hints.items() if _is_tree(hint))
     checks: list[Callable[[Any], str | None]] = []
