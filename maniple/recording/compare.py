@@ -33,9 +33,9 @@ class Tolerance(msgspec.Struct, frozen=True):
     everywhere: float = 0.0
     """For every float."""
     fields: tuple[tuple[str, float], ...] = ()
-    """For fields by name: `x_m`, `roster.odometry_age_s`, or with the type in front, `Odometry.x_m`. A name is
-    for each field whose last parts it is, and for all that is in it; the longest that fits counts. Infinity
-    is for fields that need not be the same at all."""
+    """For fields by name: `x_m`, `roster.odometry_age_s`, or with the type in front, `Odometry.x_m`. A name
+    is for each field whose last parts it is, and for all that is in it; the longest that fits counts.
+    Infinity is for fields that need not be the same at all."""
 
 
 EXACT = Tolerance()
