@@ -1,21 +1,33 @@
 """Reads a recording, finished or not."""
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, BinaryIO, NamedTuple, NoReturn, Self, TypeVar
 
 import msgspec
+from mcap.records import Channel
 
 from maniple.core import codec, topics
-from maniple.core.errors import MessageError, RecordingError
+from maniple.core.errors import ManipleError, MessageError, RecordingError
 from maniple.core.messages import Message
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import Time
-from maniple.recording.scan import DAMAGE, ChunkPlace, Layout, RawMessage, open_file, read_chunk, scan
-from maniple.recording.writer import METADATA_NAME, SCENARIO_NAME
+from maniple.recording.scan import (
+    DAMAGE,
+    ChunkPlace,
+    Damage,
+    Layout,
+    NothingRecordedError,
+    RawMessage,
+    open_file,
+    read_chunk,
+    scan,
+)
+from maniple.recording.selection import Selection
+from maniple.recording.writer import METADATA_NAME, SCENARIO_NAME, part
 
 M = TypeVar("M", bound=Message)
 
@@ -47,25 +59,55 @@ class Recorded(NamedTuple):
         """The decoded message.
 
         Raises:
-            MessageError: the topic is unknown, or the bytes are not a valid message of it.
+            MessageError: the topic is unknown, the bytes are not a valid message of it, or its type is of a
+                version that this one can't read.
         """
         return codec.decode(self.topic, self.data)
 
 
-class Recording:
-    """An open recording. Messages are read from the file as they are asked for, a chunk or two at a time."""
+class _Foreign(Recorded):
+    """A message of a type or version that this version does not have on its topic."""
 
-    def __init__(self, path: Path, layout: Layout) -> None:
-        self.path = path
-        self.complete = layout.complete
+    __slots__ = ()
+
+    def decode(self) -> Message:
+        """Never.
+
+        Raises:
+            MessageError: always.
+        """
+        known = codec.encoding(self.topic)
+        raise MessageError(
+            f"{self.topic}: recorded with another encoding than {known}, which this version reads"
+        )
+
+
+class Recording:
+    """An open recording, of one file or several parts. Messages are read from the files as they are asked
+    for, a chunk or two at a time."""
+
+    def __init__(self, layouts: Sequence[Layout], passed_over: Sequence[str] = ()) -> None:
+        first = layouts[0]
+        self.path = first.path
+        """Of its first part."""
+        self.paths = tuple(layout.path for layout in layouts)
+        """Of all parts, in order."""
+        self.passed_over = tuple(passed_over)
+        """What there is to say of parts without any message."""
+        self.complete = all(layout.complete for layout in layouts)
         """False where the recorder was killed, or the file is cut: then all that is whole can be read."""
-        self.metadata: Mapping[str, str] = layout.metadata[METADATA_NAME]
+        self.metadata: Mapping[str, str] = first.metadata[METADATA_NAME]
         """How it came about: maniple (the version), scenario (its name), mode, seed, ..."""
-        self.scenario_json = layout.attachments[SCENARIO_NAME]
+        self.all_metadata = tuple(layout.metadata for layout in layouts)
+        """All metadata records of each part, by name."""
+        self.scenario_json = first.attachments[SCENARIO_NAME].data
         """The resolved scenario as it was attached."""
         self.prefix = self.metadata.get("prefix", "")
-        self._channels = layout.channels
-        self._chunks = sorted(layout.chunks)
+        self.damage = tuple(damage for layout in layouts for damage in layout.damage)
+        """What is known to be damaged before a chunk has been read."""
+        self.layouts = tuple(layouts)
+        """Where things are in each part."""
+        self._chunks = sorted(place for layout in layouts for place in layout.chunks)
 
     @cached_property
     def scenario(self) -> Scenario:
@@ -76,78 +118,242 @@ class Recording:
         """
         try:
             return msgspec.json.decode(self.scenario_json, type=Scenario)
-        except msgspec.MsgspecError as error:
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, ManipleError) as error:
             made_by = self.metadata.get("maniple", "unknown")
             raise RecordingError(
                 f"{self.path}: its scenario can't be read ({error}); it was made by version {made_by}"
             ) from None
 
-    def messages(self, wanted: Callable[[str], bool] | None = None) -> Iterator[Recorded]:
-        """All messages in the order of (log time, place in the file); only those of `wanted` topics. What was
-        derived for viewers is not among them.
+    @cached_property
+    def topics(self) -> tuple[str, ...]:
+        """The topics that it has channels for, sorted; what is derived for viewers is not among them."""
+        keys = {channel.topic for layout in self.layouts for channel in layout.channels.values()}
+        return tuple(sorted(name for name in map(self.topic_of, keys) if name))
+
+    @cached_property
+    def start_ns(self) -> Time:
+        """Log time of the first message; 0 without any.
 
         Raises:
-            RecordingError: the file is damaged.
+            RecordingError: it is damaged.
         """
-        names: dict[int, str] = {}
-        for raw in self._in_order():
-            name = names.get(raw.channel)
-            if name is None:
-                name = names[raw.channel] = self._name(raw.channel, wanted)
-            if name:
-                yield Recorded(name, raw.data, raw.log_time_ns, raw.publish_time_ns, raw.sequence)
+        return next((entry.log_time_ns for entry in self.messages()), 0)
+
+    @cached_property
+    def end_ns(self) -> Time:
+        """Log time of the last message, or of what was derived for viewers after it; 0 without any."""
+        return max((place.end_ns for place in self._chunks), default=0)
+
+    def messages(
+        self,
+        wanted: Callable[[str], bool] | None = None,
+        start_ns: Time | None = None,
+        end_ns: Time | None = None,
+        skipped: Callable[[Damage], None] | None = None,
+    ) -> Iterator[Recorded]:
+        """All messages in the order of (log time, part, place in the file); only those of `wanted` topics
+        and of log times from `start_ns` on and before `end_ns`. What was derived for viewers is left out.
+
+        `skipped` is told what can't be read; without it that is an error.
+
+        Raises:
+            RecordingError: it is damaged.
+        """
+        tell = skipped or self._refuse
+        names = [_Names(self, layout, wanted, tell) for layout in self.layouts]
+        for raw in self._in_order(names, start_ns, end_ns, tell):
+            log_time, part_index, _, _, channel, sequence, publish_time, data = raw
+            name, kind = names[part_index][channel]
+            yield kind(name, data, log_time, publish_time, sequence)
+
+    def selected(self, selection: Selection) -> Iterator[Recorded]:
+        """What a selection takes, in the same order.
+
+        Raises:
+            RecordingError: it is damaged.
+        """
+        return self.messages(selection.takes, selection.start_ns, selection.end_ns)
 
     def decoded(self, kind: type[M]) -> Iterator[tuple[Recorded, M]]:
         """The valid messages of one type, whatever the topic, each with its record, in the same order.
 
         Raises:
-            RecordingError: the file is damaged.
+            RecordingError: it is damaged.
         """
         for record in self.messages(lambda name: _type_of(name) is kind):
             message = record.message
             if isinstance(message, kind):
                 yield record, message
 
-    def _name(self, channel: int, wanted: Callable[[str], bool] | None) -> str:
-        """The topic of a channel; empty where it is not wanted, or one that is only there for viewers."""
-        if channel not in self._channels:
-            raise RecordingError(
-                f"{self.path} is damaged: a message is of channel {channel}, not in the file"
-            )
-        key, prefix = self._channels[channel].topic, f"{self.prefix}/"
-        name = key.removeprefix(prefix)
-        return name if key.startswith(prefix) and (wanted is None or wanted(name)) else ""
+    def topic_of(self, key: str) -> str:
+        """The topic of a key on the network; empty for one that is only there for viewers."""
+        prefix = f"{self.prefix}/"
+        return key.removeprefix(prefix) if key.startswith(prefix) else ""
 
-    def _in_order(self) -> Iterator[RawMessage]:
+    def _refuse(self, damage: Damage) -> NoReturn:
+        raise RecordingError(f"{damage}; `maniple log recover {damage.path}` saves the rest")
+
+    def _in_order(
+        self,
+        wanted: Sequence[Mapping[int, object]],
+        start_ns: Time | None,
+        end_ns: Time | None,
+        skipped: Callable[[Damage], None],
+    ) -> Iterator[RawMessage]:
         """Merges chunks whose times overlap: a message is out as soon as no later chunk can precede it."""
+        for damage in self.damage:
+            skipped(damage)
+        first, end = start_ns or 0, 1 << 64 if end_ns is None else end_ns
+        chunks = [place for place in self._chunks if place.start_ns < end and place.end_ns >= first]
         held: list[RawMessage] = []
-        with open_file(self.path) as file:
-            for following, place in enumerate(self._chunks, 1):
+        with _Files(self.paths) as files:
+            for following, place in enumerate(chunks, 1):
                 try:
-                    held += read_chunk(file, place, self._channels)
+                    channels = self.layouts[place.part].channels
+                    held += read_chunk(files.file(place.part), place, channels, wanted[place.part])
                 except DAMAGE as error:
-                    raise RecordingError(f"{self.path}: {_where(place)} is damaged: {error}") from None
+                    skipped(damage_of(self.paths[place.part], place, error))
                 held.sort()
                 ready = len(held)
-                if following < len(self._chunks):
-                    ready = bisect_left(held, self._chunks[following].start_ns, key=_LOG_TIME)
-                yield from held[:ready]
+                if following < len(chunks):
+                    ready = bisect_left(held, chunks[following].start_ns, key=_LOG_TIME)
+                low = bisect_left(held, first, 0, ready, key=_LOG_TIME)
+                yield from held[low : bisect_left(held, end, low, ready, key=_LOG_TIME)]
                 del held[:ready]
 
 
+class _Files:
+    """The files of a recording, one of them open at a time."""
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self._paths = paths
+        self._part = -1
+        self._open: BinaryIO | None = None
+
+    def file(self, part: int) -> BinaryIO:
+        """The file of a part.
+
+        Raises:
+            RecordingError: it can't be opened any more.
+        """
+        if self._open is None or part != self._part:
+            self.__exit__()
+            self._part, self._open = part, open_file(self._paths[part])
+        return self._open
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._open is not None:
+            self._open.close()
+
+
+class _Names(dict[int, Any]):
+    """The topic of each channel of a part, and what its records are; None where it is not wanted, or only
+    there for viewers."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        layout: Layout,
+        wanted: Callable[[str], bool] | None,
+        skipped: Callable[[Damage], None],
+    ) -> None:
+        super().__init__()
+        self._recording, self._layout, self._wanted, self._skipped = recording, layout, wanted, skipped
+
+    def __missing__(self, id: int) -> tuple[str, type[Recorded]] | None:
+        """Which it is.
+
+        Raises:
+            RecordingError: there is no such channel, and what can't be read is an error.
+        """
+        self[id] = found = self._find(id)
+        return found
+
+    def _find(self, id: int) -> tuple[str, type[Recorded]] | None:
+        channel = self._layout.channels.get(id)
+        if channel is None:
+            what = f"messages are of channel {id}, which is not in the file"
+            self._skipped(Damage(self._layout.path, 0, 0, what))
+            return None
+        name = self._recording.topic_of(channel.topic)
+        if not name or not (self._wanted is None or self._wanted(name)):
+            return None
+        return name, _Foreign if is_foreign(name, channel) else Recorded
+
+
 def read(path: str | Path) -> Recording:
-    """Open a recording.
+    """Open a recording: one file, or several parts. With LOG.mcap come LOG-2.mcap, LOG-3.mcap ... as far as
+    they are there and of the same run; with LOG-2.mcap, those after it.
 
     Raises:
         RecordingError: it can't be opened, is not a recording made by maniple, or ends too early.
     """
     path = Path(path)
-    layout = scan(path)
+    first, number = _numbered(path)
+    layouts: list[Layout] = []
+    passed_over: list[NothingRecordedError] = []
+    while not layouts or path.exists():
+        try:
+            layout = _opened(path, len(layouts))
+            if layouts and not _continues(layouts[0], layout, number):
+                break
+            layouts.append(layout)
+        except NothingRecordedError as error:
+            passed_over.append(error)
+        number += 1
+        path = part(first, number)
+        if not layouts and not path.exists():
+            raise passed_over[0]
+    return Recording(layouts, [str(error) for error in passed_over])
+
+
+def _opened(path: Path, index: int) -> Layout:
+    layout = scan(path, index)
     if METADATA_NAME in layout.metadata and SCENARIO_NAME in layout.attachments:
-        return Recording(path, layout)
+        return layout
+    if layout.damage:
+        raise RecordingError(
+            f"{layout.damage[0]}; its scenario is lost: "
+            f"`maniple log recover {path} --scenario FILE` saves the rest"
+        )
     if layout.complete or layout.chunks:
         raise RecordingError(f"{path} is an MCAP file, but not one that maniple made (it holds no scenario)")
-    raise RecordingError(f"{path} ends before its first message; there is nothing to read")
+    raise NothingRecordedError(f"{path} ends before its first message; there is nothing to read")
+
+
+def _numbered(path: Path) -> tuple[Path, int]:
+    """The first part of a recording, and the number of the part that a path names."""
+    stem, dash, number = path.stem.rpartition("-")
+    if dash and number.isascii() and number.isdecimal() and not number.startswith("0") and int(number) > 1:
+        first = path.with_name(f"{stem}{path.suffix}")
+        if stem and first.exists():
+            return first, int(number)
+    return path, 1
+
+
+def _continues(first: Layout, later: Layout, number: int) -> bool:
+    """Whether a file is the part of this number of the same run."""
+    if first.attachments[SCENARIO_NAME].data != later.attachments[SCENARIO_NAME].data:
+        return False
+    was, now = first.metadata[METADATA_NAME], later.metadata[METADATA_NAME]
+    if was.get("anchor") != now.get("anchor"):
+        return False
+    return now["part"] == str(number) if "part" in now else now.get("mode") == "realtime"
+
+
+def damage_of(path: Path, place: ChunkPlace, error: Exception) -> Damage:
+    """What there is to say of a chunk that can't be read."""
+    what = f"the chunk at byte {place.offset} is damaged: {error}"
+    return Damage(path, place.offset, place.length, what)
+
+
+def is_foreign(name: str, channel: Channel) -> bool:
+    """Whether a channel says that its messages are of a type or version that this version does not have."""
+    said = channel.metadata.get("encoding")
+    return said is not None and _type_of(name) is not None and said != codec.encoding(name)
 
 
 def _type_of(name: str) -> type[Message] | None:
@@ -155,7 +361,3 @@ def _type_of(name: str) -> type[Message] | None:
         return topics.topic(name).type
     except MessageError:
         return None
-
-
-def _where(place: ChunkPlace) -> str:
-    return f"the chunk at byte {place.offset}"
