@@ -12,10 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from maniple.core.palette import COLOURS
 from maniple.report.samples import Band
-
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""Okabe and Ito's palette, told apart by the colour-blind; without black and yellow."""
 
 BLUE, RED, GREEN, PURPLE, ORANGE, SKY = COLOURS
 INK, STONE, FAINT = "#222222", "#8C8C8C", "#D9D9D9"

@@ -135,3 +135,27 @@ def _to_segment(point: Point, a: Point, b: Point) -> float:
     square = ex * ex + ey * ey
     share = min(1.0, max(0.0, (px * ex + py * ey) / square)) if square > 0.0 else 0.0
     return math.hypot(px - share * ex, py - share * ey)
+
+
+def triangulated(corners: Corners) -> list[tuple[int, int, int]]:
+    """The triangles, by index of their corners, that a simple polygon is made of; ears are cut off one by
+    one."""
+    rest = list(range(len(corners)))
+    if area(corners) < 0.0:
+        rest.reverse()
+    triangles = []
+    while len(rest) > 3:
+        ears = [(rest[k - 1], rest[k], rest[(k + 1) % len(rest)]) for k in range(len(rest))]
+        ear = next((one for one in ears if _is_ear(corners, rest, one)), ears[0])
+        triangles.append(ear)
+        rest.remove(ear[1])
+    return [*triangles, (rest[0], rest[1], rest[2])]
+
+
+def _is_ear(corners: Corners, rest: Sequence[int], ear: tuple[int, int, int]) -> bool:
+    """Whether a corner between its neighbours sticks out, with no other corner in it."""
+    a, b, c = (corners[index] for index in ear)
+    others = (corners[index] for index in rest if index not in ear)
+    return _turn(a, b, c) > 0 and not any(
+        _turn(a, b, p) >= 0 and _turn(b, c, p) >= 0 and _turn(c, a, p) >= 0 for p in others
+    )

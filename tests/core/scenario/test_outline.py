@@ -164,3 +164,15 @@ def test_box_around(
     obstacle: Circle | Wall | Box | Polygon, expected: tuple[tuple[float, float], ...]
 ) -> None:
     assert [tuple(c) for c in outline.box_around(obstacle)] == [pytest.approx(e) for e in expected]
+
+
+@quick
+@given(stars())
+def test_triangles_cover_a_polygon(corners: list[tuple[float, float]]) -> None:
+    shape = Shape(corners)
+    assume(shape.area > 1e-3)
+    for order in (corners, corners[::-1]):
+        parts = [Shape([order[index] for index in one]) for one in outline.triangulated(order)]
+        assert len(parts) == len(corners) - 2
+        assert sum(part.area for part in parts) == pytest.approx(shape.area)
+        assert all(part.area < 1e-9 or shape.buffer(1e-6).covers(part) for part in parts)

@@ -1,0 +1,126 @@
+"""What is known of one robot, as viewers are told it."""
+
+import math
+
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+
+from maniple.core.geometry import Pose
+from maniple.core.messages import Drive, Odometry, RobotReport, Scan, Status
+from maniple.core.scenario.types import Point, Robot
+from maniple.core.time import Time
+from maniple.recording.viz.basics import WORLD, quaternion, sensor_frame, timestamp, true_frame
+from maniple.recording.viz.channels import points_key, robot_scalars_key, scan_key, trajectory_key
+from maniple.recording.viz.scalars import RobotScalars, measured
+from maniple.recording.viz.scene import Bearing
+from maniple.recording.viz.trail import Trail
+
+_NOWHERE = Pose(0.0, 0.0, 0.0)
+
+
+class RobotView:
+    """Takes in what was said of one robot, and its log time."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.name = robot.id
+        self.scan, self.points = scan_key(robot.id), points_key(robot.id)
+        self.trajectory, self.numbers = trajectory_key(robot.id), robot_scalars_key(robot.id)
+        self.origin = _NOWHERE if robot.pose is None else Pose(*robot.pose)
+        """Of its odometry frame in the world: its initial pose."""
+        self.believed: Pose | None = None
+        """Middle of the axle in the world, by dead reckoning."""
+        self.true: Pose | None = None
+        self.bearing = Bearing()
+        self.scalars = RobotScalars()
+        self.news = False
+        """Whether its numbers have changed since they were last told."""
+        self.trail = Trail()
+        self.trail_grown = False
+        self.trail_due: Time = 0
+        self.scan_due: Time = 0
+        self._arm = robot.control_point_m
+        self._mount = _NOWHERE
+        self._believed_at: Time = 0
+        self._true_at: Time = 0
+        self._frame = ""
+        self._localised = True
+
+    @property
+    def control_point(self) -> Point | None:
+        """Where its control point is believed to be, m in the world; None where nobody knows."""
+        if self.believed is None:
+            return None
+        x, y, psi = self.believed
+        return x + self._arm * math.cos(psi), y + self._arm * math.sin(psi)
+
+    def trust(self, frame_id: str) -> None:
+        """The controller says which odometry frame begins at the initial pose."""
+        self._frame = frame_id or self._frame
+
+    def on_odometry(self, odometry: Odometry, time: Time) -> None:
+        """Its pose, if it is in the frame that is known, and its velocities."""
+        self._frame = self._frame or odometry.frame_id
+        if self._localised and odometry.frame_id == self._frame:
+            self.believed = self.origin.compose(Pose(odometry.x_m, odometry.y_m, odometry.psi_rad))
+            self._believed_at = time
+            self.trail_grown |= self.trail.add(self.believed)
+        numbers = self.scalars
+        numbers.u_mps, numbers.w_radps, numbers.v_mps = odometry.u_mps, odometry.w_radps, odometry.v_mps
+        self.news = True
+
+    def on_status(self, status: Status) -> None:
+        """How it is."""
+        self._localised = status.localised
+        self.bearing = self.bearing._replace(mode=status.mode, guard=status.guard)
+        numbers = self.scalars
+        numbers.mode, numbers.guard = status.mode, status.guard
+        numbers.command_age_s = measured(status.command_age_s)
+        numbers.command_age_max_s = measured(status.command_age_max_s)
+        self.news = True
+
+    def on_drive(self, drive: Drive) -> None:
+        """What its drive was told."""
+        numbers = self.scalars
+        numbers.u_commanded_mps, numbers.w_commanded_radps = drive.u_mps, drive.w_radps
+        numbers.v_commanded_mps = drive.v_mps
+        self.news = True
+
+    def on_report(self, report: RobotReport) -> None:
+        """What the controller knows of it."""
+        if self.bearing.state != report.state:
+            self.bearing = self.bearing._replace(state=report.state)
+        numbers = self.scalars
+        numbers.state = report.state
+        numbers.odometry_age_s = measured(report.odometry_age_s)
+        numbers.round_trip_s = measured(report.round_trip_s)
+        self.news = True
+
+    def on_truth(self, pose: Pose, clearance_m: float, time: Time) -> None:
+        """Where it really is, and how near to anything."""
+        self.true, self._true_at = pose, time
+        self.scalars.clearance_m = clearance_m
+        self.news = True
+
+    def on_scan(self, scan: Scan) -> None:
+        """Where its range finder sits."""
+        self._mount = Pose(*scan.mount)
+
+    def transforms(self, time: Time) -> list[FrameTransform]:
+        """Its frames: as of when its pose was heard; that of its range finder, which is fixed, as of now."""
+        found = []
+        if self.believed is not None:
+            found.append(_transform(WORLD, self.name, self.believed, self._believed_at))
+            found.append(_transform(self.name, sensor_frame(self.name), self._mount, time))
+        if self.true is not None:
+            found.append(_transform(WORLD, true_frame(self.name), self.true, self._true_at))
+        return found
+
+
+def _transform(parent: str, child: str, at: Pose, time: Time) -> FrameTransform:
+    return FrameTransform(
+        timestamp=timestamp(time),
+        parent_frame_id=parent,
+        child_frame_id=child,
+        translation=Vector3(x=at.x, y=at.y),
+        rotation=quaternion(at.psi),
+    )
