@@ -2,6 +2,7 @@
 
 import typer
 
+from maniple.cli.log.export import export
 from maniple.cli.log.info import info
 
 app = typer.Typer(help="Work with recordings.", no_args_is_help=True)
@@ -13,3 +14,4 @@ def _group() -> None:
 
 
 app.command()(info)
+app.command()(export)

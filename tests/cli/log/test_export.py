@@ -1,0 +1,85 @@
+import csv
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from maniple.cli.log.group import app
+from maniple.core.errors import ArgumentError, MissingExtraError, RecordingError
+from tests.recording.traffic import Sent, record, traffic
+
+
+@pytest.mark.parametrize("format", ["csv", "parquet"])
+def test_export_as_json(tmp_path: Path, format: str) -> None:
+    path = record(tmp_path / "a.mcap", traffic(40))
+    result = CliRunner().invoke(app, ["export", str(path), "--to", format, "--json"])
+    assert result.exit_code == 0
+    said = json.loads(result.stdout)
+    assert said["out"] == str(tmp_path / f"a-{format}")
+    assert [table["file"] for table in said["tables"]] == [f"hw-drive.{format}", f"hw-scan.{format}"]
+    assert (tmp_path / f"a-{format}" / f"hw-scan.{format}").exists()
+
+
+def test_export_for_people(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", [*traffic(40), Sent("hw/r1/drive", b"?", 1, 1, 1)])
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["export", str(path), "--to", "csv", "--out", str(out)])
+    assert result.exit_code == 0
+    assert result.stdout.splitlines() == [
+        "note: hw/r1/drive: 1 left out, no valid messages of this topic",
+        f"161 messages as 160 rows in 2 tables: {out}",
+    ]
+
+
+def test_only_some_of_it(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", traffic(40))
+    options = ["--topic", "hw/*/drive", "--without", "hw/r2/*", "--from", "0.5", "--until", "1", "--json"]
+    result = CliRunner().invoke(app, ["export", str(path), "--to", "csv", *options])
+    assert [(table["file"], table["rows"]) for table in json.loads(result.stdout)["tables"]] == [
+        ("hw-drive.csv", 10)
+    ]
+    with (tmp_path / "a-csv" / "hw-drive.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["t_s"]) for row in rows] == pytest.approx([0.5 + 0.05 * k for k in range(10)])
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "said"),
+    [
+        (["--to", "csv", "--out", "{folder}"], ArgumentError, "is not empty and holds no export"),
+        (["--to", "csv", "--topic", "hw/*/x"], ArgumentError, "no topic of .* matches 'hw/\\*/x'"),
+        (["--to", "csv", "--from", "100"], ArgumentError, "ends after"),
+        (["--to", "csv", "--out", "/proc/nothing/out"], Exception, "/proc/nothing"),
+    ],
+)
+def test_bad_options_are_one_error_for_main(
+    tmp_path: Path, options: list[str], kind: type[Exception], said: str
+) -> None:
+    path = record(tmp_path / "a.mcap", traffic(4))
+    given = [option.format(folder=tmp_path) for option in options]
+    result = CliRunner().invoke(app, ["export", str(path), *given])
+    assert isinstance(result.exception, kind)
+    with pytest.raises(kind, match=said):
+        raise result.exception
+    assert [one.name for one in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_a_format_is_needed_and_listed(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", traffic(4))
+    assert CliRunner().invoke(app, ["export", str(path)]).exit_code == 2
+    assert CliRunner().invoke(app, ["export", str(path), "--to", "xls"]).exit_code == 2
+
+
+def test_no_recording(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["export", str(tmp_path / "no.mcap"), "--to", "csv"])
+    assert isinstance(result.exception, RecordingError)
+
+
+def test_the_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = record(tmp_path / "a.mcap", traffic(4))
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    result = CliRunner().invoke(app, ["export", str(path), "--to", "parquet"])
+    assert isinstance(result.exception, MissingExtraError)
+    assert "maniple[export]" in str(result.exception)
