@@ -2,6 +2,7 @@
 
 import typer
 
+from maniple.cli.log.diff import diff
 from maniple.cli.log.export import export
 from maniple.cli.log.info import info
 
@@ -15,3 +16,4 @@ def _group() -> None:
 
 app.command()(info)
 app.command()(export)
+app.command()(diff)
