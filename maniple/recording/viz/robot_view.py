@@ -7,7 +7,7 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
 from maniple.core.geometry import Pose
 from maniple.core.messages import Drive, Odometry, RobotReport, Scan, Status
-from maniple.core.scenario.types import Point, Robot
+from maniple.core.scenario.types import Point, Robot, RobotModel
 from maniple.core.time import Time
 from maniple.recording.viz.basics import WORLD, quaternion, sensor_frame, timestamp, true_frame
 from maniple.recording.viz.channels import points_key, robot_scalars_key, scan_key, trajectory_key
@@ -19,9 +19,9 @@ _NOWHERE = Pose(0.0, 0.0, 0.0)
 
 
 class RobotView:
-    """Takes in what was said of one robot, and its log time."""
+    """Takes in what was said of one robot of a resolved scenario, and its log time."""
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, model: RobotModel) -> None:
         self.name = robot.id
         self.scan, self.points = scan_key(robot.id), points_key(robot.id)
         self.trajectory, self.numbers = trajectory_key(robot.id), robot_scalars_key(robot.id)
@@ -39,6 +39,7 @@ class RobotView:
         self.trail_due: Time = 0
         self.scan_due: Time = 0
         self._arm = robot.control_point_m
+        self._sideways = model.v_max_mps is not None
         self._mount = _NOWHERE
         self._believed_at: Time = 0
         self._true_at: Time = 0
@@ -65,7 +66,9 @@ class RobotView:
             self._believed_at = time
             self.trail_grown |= self.trail.add(self.believed)
         numbers = self.scalars
-        numbers.u_mps, numbers.w_radps, numbers.v_mps = odometry.u_mps, odometry.w_radps, odometry.v_mps
+        numbers.u_mps, numbers.w_radps = odometry.u_mps, odometry.w_radps
+        if self._sideways:
+            numbers.v_mps = odometry.v_mps
         self.news = True
 
     def on_status(self, status: Status) -> None:
@@ -82,7 +85,8 @@ class RobotView:
         """What its drive was told."""
         numbers = self.scalars
         numbers.u_commanded_mps, numbers.w_commanded_radps = drive.u_mps, drive.w_radps
-        numbers.v_commanded_mps = drive.v_mps
+        if self._sideways:
+            numbers.v_commanded_mps = drive.v_mps
         self.news = True
 
     def on_report(self, report: RobotReport) -> None:

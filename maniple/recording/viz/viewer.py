@@ -86,7 +86,7 @@ class Viewer:
 
     def __init__(self, scenario: Scenario, epoch_ns: Time | None = None) -> None:
         self._scenario = scenario
-        self._robots = {robot.id: RobotView(robot) for robot in scenario.robots}
+        self._robots = {robot.id: RobotView(robot, scenario.model_of(robot)) for robot in scenario.robots}
         self._narrator = Narrator(None if epoch_ns is None else plan_of(scenario, epoch_ns))
         self._lifetime = from_seconds(topics.topic(topics.FORMATION_STATE).stale_after_s)
         self._tick_due: Time | None = None
@@ -109,6 +109,12 @@ class Viewer:
         about = topic.split("/")[1] if "{id}" in row.pattern else ""
         known = about in self._robots or not about
         return row.type in _WANTED and known and (row.type is not Scan or row.network == "fleet")
+
+    def begin(self) -> None:
+        """Tell all anew that has not changed: whoever looks, looks from here on."""
+        self._tick_due, self._again_due = None, 0
+        for robot in self._robots.values():
+            robot.trail_grown, robot.trail_due = robot.believed is not None, 0
 
     def see(self, topic: str, message: Message, log_time_ns: Time) -> Sequence[Drawn]:
         """What a message of a topic that it `wants` gives to draw; nothing where another node sent it than

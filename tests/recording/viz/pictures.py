@@ -1,9 +1,11 @@
 """A short run, and what a viewer makes of it."""
 
+import atexit
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from shutil import rmtree
+from tempfile import mkdtemp
 from typing import NamedTuple, TypeVar
 
 import maniple
@@ -76,18 +78,22 @@ class Run(NamedTuple):
 
 
 @cache
+def recorded() -> Path:
+    """A recording of the scene in virtual time."""
+    folder = Path(mkdtemp())
+    atexit.register(rmtree, folder)
+    scene, log = folder / "drawn.toml", folder / "drawn.mcap"
+    scene.write_text(SCENE)
+    maniple.run(scene, virtual=True, log=log, duration_s=8.0)
+    return log
+
+
+@cache
 def run() -> Run:
     """The scene in virtual time."""
-    with TemporaryDirectory() as folder:
-        scene, log = Path(folder, "drawn.toml"), Path(folder, "drawn.mcap")
-        scene.write_text(SCENE)
-        maniple.run(scene, virtual=True, log=log, duration_s=8.0)
-        recording = read(log)
-        viewer = Viewer(recording.scenario)
-        wanted = recording.messages(viewer.wants)
-        return Run(
-            recording.scenario, tuple(Seen(one.topic, one.decode(), one.log_time_ns) for one in wanted)
-        )
+    recording = read(recorded())
+    wanted = recording.messages(Viewer(recording.scenario).wants)
+    return Run(recording.scenario, tuple(Seen(one.topic, one.decode(), one.log_time_ns) for one in wanted))
 
 
 def draw(scenario: Scenario, seen: Iterable[Seen]) -> Iterator[Drawn]:

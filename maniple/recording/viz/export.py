@@ -1,0 +1,114 @@
+"""What viewers draw of a recording, for those who write it into one file."""
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import msgspec
+
+from maniple.core.errors import ArgumentError, ManipleError, MessageError
+from maniple.core.time import VIRTUAL_EPOCH
+from maniple.recording.reader import Recording
+from maniple.recording.selection import Selection
+from maniple.recording.viz.channels import Drawn
+from maniple.recording.viz.viewer import Viewer
+
+EVERYTHING = Selection()
+
+
+class ExportedFile(msgspec.Struct, frozen=True, kw_only=True):
+    """What was written."""
+
+    recordings: tuple[str, ...]
+    out: str
+    format: str
+    scenario: str
+    messages: int
+    """Messages of the recording that there was something to draw of."""
+    drawn: int
+    """Messages for viewers that were made of them."""
+    unreadable: dict[str, int]
+    """Messages that are left out because they are no valid ones of their topic, by topic."""
+    complete: bool
+    """Whether the recording was finished."""
+
+
+class Pictures:
+    """What there is to draw of a selection of a recording, in order of time; counted on the way.
+
+    It is derived from the messages, whether or not the recording holds what an earlier version derived. What
+    was said before the selection begins is known in it, but drawn only from there on.
+    """
+
+    def __init__(self, recording: Recording, selection: Selection) -> None:
+        virtual = recording.metadata.get("mode") == "virtual"
+        self._recording = recording
+        self._selection = selection
+        self._viewer = Viewer(recording.scenario, VIRTUAL_EPOCH if virtual else None)
+        self.channels = self._viewer.channels
+        self._messages = 0
+        self._drawn = 0
+        self._unreadable: Counter[str] = Counter()
+
+    def __iter__(self) -> Iterator[Drawn]:
+        """
+        Raises:
+            RecordingError: the recording is damaged.
+        """
+        viewer, selection = self._viewer, self._selection
+        start = self._recording.start_ns if selection.start_ns is None else selection.start_ns
+        begun = False
+        for record in self._recording.messages(
+            lambda topic: selection.takes(topic) and viewer.wants(topic), None, selection.end_ns
+        ):
+            if not begun and record.log_time_ns >= start:
+                begun = True
+                viewer.begin()
+            try:
+                pictures = viewer.see(record.topic, record.decode(), record.log_time_ns)
+            except MessageError:
+                self._unreadable[record.topic] += begun
+                continue
+            if begun:
+                self._messages += 1
+                self._drawn += len(pictures)
+                yield from pictures
+
+    def exported(self, out: Path, format: str) -> ExportedFile:
+        """What has become of them."""
+        recording = self._recording
+        return ExportedFile(
+            recordings=tuple(map(str, recording.paths)),
+            out=str(out),
+            format=format,
+            scenario=recording.metadata.get("scenario", ""),
+            messages=self._messages,
+            drawn=self._drawn,
+            unreadable={topic: count for topic, count in sorted(self._unreadable.items()) if count},
+            complete=recording.complete,
+        )
+
+
+@contextmanager
+def new_file(out: Path, force: bool) -> Iterator[Path]:
+    """A file to write that does not exist yet; it becomes `out` when all has gone well, and goes when it has
+    not.
+
+    Raises:
+        ArgumentError: `out` exists and is not to be replaced, or is no file.
+        ManipleError: it can't be written.
+    """
+    if out.is_dir():
+        raise ArgumentError(f"{out} is a folder; --out must name a file")
+    if out.exists() and not force:
+        raise ArgumentError(f"{out} exists; another --out, or --force to replace it")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as scratch:
+            new = Path(scratch) / out.name
+            yield new
+            new.replace(out)
+    except OSError as error:
+        raise ManipleError(f"{out}: can't write the export: {error.strerror or error}") from None
