@@ -1,10 +1,11 @@
 """A recording as a folder of tables: a file for each topic, and one for what its messages have several of."""
 
+import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from secrets import token_hex
 from typing import Protocol
 
 import msgspec
@@ -193,14 +194,16 @@ def _folder(out: Path, force: bool) -> Iterator[Path]:
     try:
         out = out.resolve()
         _require_free(out, force)
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as scratch:
-            new, old = Path(scratch) / "new", Path(scratch) / "old"
-            new.mkdir()
+        scratch = out.with_name(f".{out.name}-{token_hex(4)}")
+        new, old = scratch / "new", scratch / "old"
+        try:
+            new.mkdir(parents=True)
             yield new
             if out.exists():
                 out.rename(old)
             new.rename(out)
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
     except OSError as error:
         raise ManipleError(f"{out}: can't write the export: {error.strerror or error}") from None
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, NoReturn, Self, TypeVar
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, NoReturn, Self, TypeVar
 
 import msgspec
 from mcap.records import Channel
@@ -28,6 +28,9 @@ from maniple.recording.scan import (
 )
 from maniple.recording.selection import Selection
 from maniple.recording.writer import METADATA_NAME, SCENARIO_NAME, part
+
+if TYPE_CHECKING:
+    from maniple.recording.table import Table
 
 M = TypeVar("M", bound=Message)
 
@@ -184,6 +187,21 @@ class Recording:
             message = record.message
             if isinstance(message, kind):
                 yield record, message
+
+    def table(
+        self, wanted: str | type[Message], each: str = "", selection: Selection | None = None
+    ) -> "Table":
+        """The messages of the `wanted` topics ("robot/*/odometry"), or of one type, as columns: NumPy arrays,
+        pandas, Arrow. A row is a message, or with `each` one of what it has several of; see `table.table`.
+
+        Raises:
+            ArgumentError: nothing like `wanted` is there, it means topics of several types, or they have no
+                such elements.
+            RecordingError: it is damaged.
+        """
+        from maniple.recording.table import table
+
+        return table(self, wanted, each, selection)
 
     def topic_of(self, key: str) -> str:
         """The topic of a key on the network; empty for one that is only there for viewers."""

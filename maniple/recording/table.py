@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     import pyarrow
 
 EXTRA = "export"
-BATCH_ROWS = 32768
-BATCH_BYTES = 8 << 20
+BATCH_ROWS = 16384
+BATCH_BYTES = 1 << 20
 """Of messages as they were on the wire: what is decoded and in memory at once."""
 
 

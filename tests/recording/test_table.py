@@ -136,6 +136,11 @@ def test_whole_numbers_that_may_lack_stay_exact(run: Recording) -> None:
     assert found["ticks"].shape == (found.rows, 2)
 
 
+def test_a_recording_makes_its_tables(run: Recording) -> None:
+    assert np.array_equal(run.table("sim/truth")["poses"], table(run, "sim/truth")["poses"])
+    assert run.table(messages.Truth, "robots").rows == table(run, "sim/truth", "robots").rows
+
+
 def test_pandas_and_arrow_hold_the_same(run: Recording) -> None:
     for wanted, each in [("robot/*/odometry", ""), ("sim/truth", "robots"), ("robot/*/status", "")]:
         found = table(run, wanted, each)

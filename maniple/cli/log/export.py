@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 import msgspec
 import typer
 
+from maniple.cli.interrupt import on_interrupt
 from maniple.cli.log.options import From, Topics, Until, Without, selection_of
 from maniple.recording.export_csv import export_csv
 from maniple.recording.export_parquet import export_parquet
@@ -39,11 +40,16 @@ def export(
     """
     recording = read(file)
     selection = selection_of(recording, start, until, topic, without)
-    exported = _WRITERS[to](recording, out or file.with_name(f"{file.stem}-{to}"), selection, force)
+    with on_interrupt(_stop):
+        exported = _WRITERS[to](recording, out or file.with_name(f"{file.stem}-{to}"), selection, force)
     if as_json:
         typer.echo(msgspec.json.encode(exported))
         return
     _tell(exported)
+
+
+def _stop() -> None:
+    raise KeyboardInterrupt
 
 
 def _tell(exported: Exported) -> None:

@@ -1,5 +1,7 @@
 import csv
 import json
+import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -9,6 +11,7 @@ from typer.testing import CliRunner
 from maniple.cli.log.group import app
 from maniple.core.errors import ArgumentError, MissingExtraError, RecordingError
 from tests.recording.traffic import Sent, record, traffic
+from tests.waiting import eventually
 
 
 @pytest.mark.parametrize("format", ["csv", "parquet"])
@@ -83,3 +86,16 @@ def test_the_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     result = CliRunner().invoke(app, ["export", str(path), "--to", "parquet"])
     assert isinstance(result.exception, MissingExtraError)
     assert "maniple[export]" in str(result.exception)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_export_leaves_no_trace(tmp_path: Path, number: signal.Signals) -> None:
+    path = record(tmp_path / "a.mcap", traffic(20_000), "none")
+    command = [sys.executable, "-m", "maniple", "log", "export", str(path), "--to", "csv"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as export:
+        eventually(lambda: len(list(tmp_path.iterdir())) > 1)
+        export.send_signal(number)
+        _, said = export.communicate(timeout=60)
+    assert export.returncode == 130
+    assert said == ""
+    assert [one.name for one in tmp_path.iterdir()] == ["a.mcap"]
