@@ -49,14 +49,15 @@ class Life(msgspec.Struct, frozen=True):
         """Whether its beginning is there; nothing can be run again without."""
         return bool(self.journals)
 
-    def calls(self) -> Iterator[Call]:
-        """The calls into the node, in order, with as many as can be run again.
+    def calls(self) -> Iterator[tuple[Call, Time]]:
+        """The calls into the node that can be made again, in order, each with when it was recorded.
 
         Raises:
             MessageError: a journal can't be decoded.
         """
         for record in self.journals:
-            yield from _journal_in(record).calls
+            for call in _journal_in(record).calls:
+                yield call, record.log_time_ns
 
 
 class Step(msgspec.Struct, frozen=True, gc=False):
@@ -291,7 +292,7 @@ def _is_stopped(journals: Mapping[int, Sequence[Recorded]]) -> bool:
 
 
 def _journal_in(record: Recorded) -> Journal:
-    journal = codec.decode(record.topic, record.data)
+    journal = record.decode()
     assert isinstance(journal, Journal), "its topic says so"
     return journal
 

@@ -20,8 +20,10 @@ from maniple.host.stamper import Stamper
 FLUSH_PERIOD: Duration = 200 * MILLISECOND
 """How often a host sends a node's journal: what a killed process had not yet journaled."""
 
+HOST = "host"
+"""Who makes what a host tells its node."""
+
 _COUNTERS_PERIOD: Duration = SECOND
-_HOST = "host"
 
 _KINDS_TOLD = 64
 """Kinds of refusals that are told apart between two flushes; more are garbage with forged names."""
@@ -156,7 +158,7 @@ class NodeRunner:
         """Give the node a message that this host made; the journal keeps its bytes."""
         if topic not in self.node.subscriptions:
             return []
-        made = self._stamp(topic, message, now, host=_HOST)
+        made = self._stamp(topic, message, now, host=HOST)
         self._journal.received(made, now)
         received = Received(topic, codec.decode(topic, made.data))
         return self._outgoing(self.node.on_message(received, now), now)
