@@ -312,9 +312,7 @@ def _strips(line: LinePrimitive) -> list[list[tuple[float, float, float]]]:
     """The strips of a line."""
     points = [_xyz(point) for point in line.points]
     if line.type == LinePrimitive.LINE_LIST:
-        order = line.indices or range(len(points))
-        ends = [points[index] for index in order]
-        return [ends[k : k + 2] for k in range(0, len(ends), 2)]
+        return [points[k : k + 2] for k in range(0, len(points), 2)]
     return [[*points, points[0]] if line.type == LinePrimitive.LINE_LOOP else points]
 
 

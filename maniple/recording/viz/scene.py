@@ -109,7 +109,7 @@ def formation(desired: Sequence[Point], actual: Sequence[Point], lifetime_ns: Du
             indices=[index for j in range(len(desired) - 2) for index in (j, j + 1, j + 2)],
             color=colour(_GREEN, 0.18),
         )
-        line = _line(desired, 0.01, edges, colour(_GREEN, 0.8), _chain_edges(len(desired)))
+        line = _line(_chain_edges(desired), 0.01, edges, colour(_GREEN, 0.8))
         entities.append(
             SceneEntity(
                 timestamp=stamp,
@@ -121,7 +121,7 @@ def formation(desired: Sequence[Point], actual: Sequence[Point], lifetime_ns: Du
             )
         )
     if actual:
-        line = _line(actual, 0.02, edges, colour(_BLUE), _chain_edges(len(actual)))
+        line = _line(_chain_edges(actual), 0.02, edges, colour(_BLUE))
         entities.append(
             SceneEntity(timestamp=stamp, frame_id=WORLD, id="actual", lifetime=lifetime, lines=[line])
         )
@@ -205,18 +205,16 @@ def _prism(corners: Sequence[Point]) -> TriangleListPrimitive:
     )
 
 
-def _chain_edges(count: int) -> list[int]:
-    """The sides of the triangles of a chain of so many robots, each once, as pairs of indices."""
+def _chain_edges(points: Sequence[Point]) -> list[Point]:
+    """The sides of the triangles of a chain, each once, as the two ends of every one. (Not as indices into
+    the points: Foxglove then draws no more sides than half of these.)"""
+    count = len(points)
     sides = [(j, j + 1) for j in range(count - 1)] + [(j, j + 2) for j in range(count - 2)]
-    return [index for side in sides for index in side]
+    return [points[index] for side in sides for index in side]
 
 
 def _line(
-    points: Sequence[Sequence[float]],
-    z: float,
-    kind: LinePrimitive.Type.ValueType,
-    paint: Color,
-    indices: Sequence[int] = (),
+    points: Sequence[Sequence[float]], z: float, kind: LinePrimitive.Type.ValueType, paint: Color
 ) -> LinePrimitive:
     return LinePrimitive(
         type=kind,
@@ -224,7 +222,6 @@ def _line(
         thickness=LINE_M,
         points=[point(one, z) for one in points],
         color=paint,
-        indices=indices,
     )
 
 
