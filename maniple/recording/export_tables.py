@@ -239,15 +239,15 @@ def _readme(recording: Recording, exported: Exported) -> str:
         "|---|---|---|",
         *(f"| {table.file} | {table.topics} | {table.rows} |" for table in exported.tables),
     ]
-    left_out = [*told(exported)]
+    left_out = [*told(exported.complete, exported.unreadable, exported.unknown)]
     return "\n".join([*lines, *([""] + [f"- {line}" for line in left_out] if left_out else []), ""])
 
 
-def told(exported: Exported) -> Iterator[str]:
-    """What is not in the tables and might be looked for there, a line each."""
-    if not exported.complete:
-        yield "the recording was not finished: the tables end where it stops being whole"
-    for topic, count in exported.unreadable.items():
+def told(complete: bool, unreadable: Mapping[str, int], unknown: Mapping[str, int]) -> Iterator[str]:
+    """What is not in an export and might be looked for there, a line each."""
+    if not complete:
+        yield "the recording was not finished: the export ends where it stops being whole"
+    for topic, count in unreadable.items():
         yield f"{topic}: {count} left out, no valid messages of this topic"
-    for topic, count in exported.unknown.items():
+    for topic, count in unknown.items():
         yield f"{topic}: {count} left out, a topic that this version does not know"

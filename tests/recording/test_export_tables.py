@@ -57,7 +57,7 @@ def test_what_is_left_out_is_said(tmp_path: Path) -> None:
     exported = export_csv(read(path), tmp_path / "out")
     assert exported.unreadable == {"hw/r1/drive": 1}
     assert exported.unknown == {"what/is/it": 1}
-    lines = [*told(exported)]
+    lines = [*told(exported.complete, exported.unreadable, exported.unknown)]
     assert [line.split(":")[0] for line in lines] == [
         "the recording was not finished",
         "hw/r1/drive",

@@ -1,29 +1,47 @@
 """`maniple log export`."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 import typer
 
 from maniple.cli.interrupt import on_interrupt
 from maniple.cli.log.options import From, Topics, Until, Without, selection_of
+from maniple.core.errors import MissingExtraError
 from maniple.recording.export_csv import export_csv
+from maniple.recording.export_foxglove import export_foxglove
 from maniple.recording.export_parquet import export_parquet
 from maniple.recording.export_tables import Exported, told
-from maniple.recording.reader import read
+from maniple.recording.reader import Recording, read
+from maniple.recording.selection import Selection
+from maniple.recording.viz.export import ExportedFile
 
-_WRITERS = {"parquet": export_parquet, "csv": export_csv}
+Format: TypeAlias = Literal["parquet", "csv", "foxglove", "rerun"]
+
+_ENDINGS: dict[Format, str] = {
+    "parquet": "-parquet",
+    "csv": "-csv",
+    "foxglove": "-foxglove.mcap",
+    "rerun": ".rrd",
+}
 
 
 def export(
     file: Annotated[Path, typer.Argument(help="Recording (MCAP) made by maniple, finished or not.")],
     to: Annotated[
-        Literal["parquet", "csv"],
-        typer.Option("--to", help="parquet, csv: a folder of tables, one for each kind of topic."),
+        Format,
+        typer.Option(
+            "--to",
+            help="parquet, csv: a folder of tables, one for each kind of topic. foxglove: an MCAP file with "
+            "what Foxglove and Lichtblick draw. rerun: an .rrd file for the Rerun viewer.",
+        ),
     ],
     out: Annotated[
-        Path | None, typer.Option(help="Where to write. [default: FILE-parquet, FILE-csv beside FILE]")
+        Path | None,
+        typer.Option(
+            help="Where to write; else FILE-parquet, FILE-csv, FILE-foxglove.mcap or FILE.rrd beside FILE."
+        ),
     ] = None,
     topic: Topics = None,
     without: Without = None,
@@ -34,28 +52,52 @@ def export(
 ) -> None:
     """Write a recording in a format that other tools read.
 
-    parquet needs pip install 'maniple[export]'.
+    parquet needs the extra "export", rerun the extra "rerun".
 
     Exit status: 0 written, 2 bad input, 130 interrupted (then nothing is left behind).
     """
     recording = read(file)
     selection = selection_of(recording, start, until, topic, without)
     with on_interrupt(_stop):
-        exported = _WRITERS[to](recording, out or file.with_name(f"{file.stem}-{to}"), selection, force)
+        exported = _write(recording, to, out or file.with_name(file.stem + _ENDINGS[to]), selection, force)
     if as_json:
         typer.echo(msgspec.json.encode(exported))
-        return
-    _tell(exported)
+    else:
+        _tell(exported)
+
+
+def _write(
+    recording: Recording, to: Format, out: Path, selection: Selection, force: bool
+) -> Exported | ExportedFile:
+    match to:
+        case "parquet":
+            return export_parquet(recording, out, selection, force)
+        case "csv":
+            return export_csv(recording, out, selection, force)
+        case "foxglove":
+            return export_foxglove(recording, out, selection, force)
+        case "rerun":
+            try:
+                import rerun  # noqa: F401
+            except ImportError:
+                raise MissingExtraError("export to Rerun", "rerun") from None
+            from maniple.recording.export_rerun import export_rerun
+
+            return export_rerun(recording, out, selection, force)
 
 
 def _stop() -> None:
     raise KeyboardInterrupt
 
 
-def _tell(exported: Exported) -> None:
-    for note in told(exported):
+def _tell(exported: Exported | ExportedFile) -> None:
+    if isinstance(exported, Exported):
+        notes = told(exported.complete, exported.unreadable, exported.unknown)
+        rows = sum(table.rows for table in exported.tables)
+        made = f"{rows} rows in {len(exported.tables)} tables"
+    else:
+        notes = told(exported.complete, exported.unreadable, {})
+        made = f"{exported.drawn} for viewers"
+    for note in notes:
         typer.echo(f"note: {note}")
-    rows = sum(table.rows for table in exported.tables)
-    typer.echo(
-        f"{exported.messages} messages as {rows} rows in {len(exported.tables)} tables: {exported.out}"
-    )
+    typer.echo(f"{exported.messages} messages as {made}: {exported.out}")

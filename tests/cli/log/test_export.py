@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from maniple.cli.log.group import app
 from maniple.core.errors import ArgumentError, MissingExtraError, RecordingError
+from tests.recording.faulty import faulty_run
 from tests.recording.traffic import Sent, record, traffic
 from tests.waiting import eventually
 
@@ -23,6 +24,21 @@ def test_export_as_json(tmp_path: Path, format: str) -> None:
     assert said["out"] == str(tmp_path / f"a-{format}")
     assert [table["file"] for table in said["tables"]] == [f"hw-drive.{format}", f"hw-scan.{format}"]
     assert (tmp_path / f"a-{format}" / f"hw-scan.{format}").exists()
+
+
+@pytest.mark.parametrize(("format", "ending"), [("foxglove", "-foxglove.mcap"), ("rerun", ".rrd")])
+def test_files_for_viewers(tmp_path: Path, format: str, ending: str) -> None:
+    path = faulty_run(tmp_path).path
+    result = CliRunner().invoke(app, ["export", str(path), "--to", format, "--topic", "sim/*", "--json"])
+    assert result.exit_code == 0
+    said = json.loads(result.stdout)
+    assert said["out"] == str(tmp_path / f"run{ending}")
+    assert said["messages"] > 0
+    assert (tmp_path / f"run{ending}").stat().st_size > 0
+    again = CliRunner().invoke(app, ["export", str(path), "--to", format])
+    assert isinstance(again.exception, ArgumentError)
+    result = CliRunner().invoke(app, ["export", str(path), "--to", format, "--force"])
+    assert f"for viewers: {tmp_path / f'run{ending}'}" in result.stdout
 
 
 def test_export_for_people(tmp_path: Path) -> None:
@@ -80,12 +96,18 @@ def test_no_recording(tmp_path: Path) -> None:
     assert isinstance(result.exception, RecordingError)
 
 
-def test_the_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("format", "module", "extra"), [("parquet", "pyarrow", "export"), ("rerun", "rerun", "rerun")]
+)
+def test_the_missing_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format: str, module: str, extra: str
+) -> None:
     path = record(tmp_path / "a.mcap", traffic(4))
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    result = CliRunner().invoke(app, ["export", str(path), "--to", "parquet"])
+    monkeypatch.setitem(sys.modules, module, None)
+    result = CliRunner().invoke(app, ["export", str(path), "--to", format])
     assert isinstance(result.exception, MissingExtraError)
-    assert "maniple[export]" in str(result.exception)
+    assert f"pip install 'maniple[{extra}]'" in str(result.exception)
+    assert [one.name for one in tmp_path.iterdir()] == ["a.mcap"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
