@@ -34,9 +34,11 @@ MAGIC = b"\x89MCAP0\r\n"
 
 MAX_CHANNELS = 0xFFFF
 
+LATEST = 0xFFFFFFFFFFFFFFFF
+"""No time in a file is later, ns."""
+
 _ZSTD_LEVEL = 1
 _UINT32 = 0xFFFFFFFF
-_UINT64 = 0xFFFFFFFFFFFFFFFF
 _FOOTER_SIZE = 20
 _pack_message = struct.Struct("<BQHIQQ").pack
 _MESSAGE_HEAD = 22
@@ -80,7 +82,12 @@ class McapFile:
         self._chunk_indexes: list[bytes] = []
         self._attachment_indexes: list[bytes] = []
         self._metadata_indexes: list[bytes] = []
-        self._start_time, self._end_time = _UINT64, 0
+        self._start_time, self._end_time = LATEST, 0
+
+    @property
+    def size(self) -> int:
+        """Bytes in the file."""
+        return self._size
 
     @property
     def buffered(self) -> int:
@@ -140,8 +147,8 @@ class McapFile:
         try:
             head = _pack_message(5, size, channel.id, sequence, log_time, publish_time)
         except struct.error:
-            log_time = min(max(log_time, 0), _UINT64)
-            publish_time = min(max(publish_time, 0), _UINT64)
+            log_time = min(max(log_time, 0), LATEST)
+            publish_time = min(max(publish_time, 0), LATEST)
             head = _pack_message(5, size, channel.id, sequence & _UINT32, log_time, publish_time)
         self._parts += (head, data)
         channel.index += (log_time, self._offset)

@@ -1,9 +1,10 @@
 """Writes a recording: every message's wire bytes, with the scenario in front."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, NoReturn, Self, TypeAlias
+from typing import Any, Literal, NamedTuple, NoReturn, Self, TypeAlias
 
 import msgspec
 from mcap.records import Attachment, Metadata
@@ -12,7 +13,7 @@ from maniple.core import codec, topics
 from maniple.core.errors import MessageError, RecordingError
 from maniple.core.messages import Message
 from maniple.core.time import MILLISECOND, Duration, Time
-from maniple.recording.mcap_file import MAX_CHANNELS, ChannelBuffer, McapFile
+from maniple.recording.mcap_file import LATEST, MAX_CHANNELS, ChannelBuffer, McapFile
 
 Compression: TypeAlias = Literal["zstd", "none"]
 
@@ -22,6 +23,9 @@ METADATA_NAME = "maniple"
 SCENARIO_NAME = "scenario.json"
 """The attachment with the resolved scenario."""
 
+LATCHED_NAME = "latched/"
+"""With the topic behind it: the attachment with the wire bytes of what was latched before the file began."""
+
 CHUNK_PERIOD: Duration = 400 * MILLISECOND
 """How long a message may wait in memory; with a tick every 0.1 s none waits longer than 0.5 s."""
 
@@ -30,11 +34,21 @@ _ENCODING = "msgpack"
 _LIBRARY = "maniple"
 
 
+class Latched(NamedTuple):
+    """The last message of a latched topic from before a file."""
+
+    topic: str
+    data: bytes
+    log_time_ns: Time
+    publish_time_ns: Time
+
+
 class RecordingWriter:
     """Writes one recording. The same calls make the same bytes.
 
     `metadata` says how the recording came about (version, seed, mode, ...). `prefix` is the first part of
     every key on the network. `now` is the time noted for the scenario, on the clock of the messages.
+    `latched` is what held before; it is attached, so that no message is there twice.
 
     As a context manager it finishes the file at the end, whatever happened.
 
@@ -52,6 +66,7 @@ class RecordingWriter:
         now: Time = 0,
         compression: Compression = "zstd",
         chunk_period_ns: Duration = CHUNK_PERIOD,
+        latched: Iterable[Latched] = (),
     ) -> None:
         self.path = Path(path)
         self._prefix = prefix
@@ -59,10 +74,14 @@ class RecordingWriter:
         self._due: Time | None = None
         self._failure = ""
         self._channels: dict[str, ChannelBuffer] = {}
+        self._viewer_channels: dict[str, ChannelBuffer] = {}
+        self._viewer_schemas: dict[str, int] = {}
         self._raw = _create(self.path)
         self._mcap = McapFile(self._raw, _LIBRARY, compression == "zstd")
         self._mcap.add_metadata(Metadata(METADATA_NAME, {**metadata, "prefix": prefix}))
         self._mcap.add_attachment(Attachment(now, now, SCENARIO_NAME, "application/json", scenario_json))
+        for one in latched:
+            self._mcap.add_attachment(attachment_of(one))
         self._schemas = {
             kind: self._mcap.add_schema(f"maniple.{kind.__name__}", "jsonschema", schema_of(kind))
             for kind in dict.fromkeys(row.type for row in topics.TOPICS)
@@ -88,6 +107,43 @@ class RecordingWriter:
         self._mcap.add_message(channel, log_time_ns, publish_time_ns, sequence, data)
         if self._mcap.buffered > _MAX_BUFFERED:
             self.flush()
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file so far."""
+        return self._mcap.size
+
+    def note(self, name: str, values: Mapping[str, str]) -> None:
+        """Add a metadata record; of several of one name the last counts."""
+        self._mcap.add_metadata(Metadata(name, dict(values)))
+
+    def add_viewer_channel(
+        self, key: str, encoding: str, schema_name: str, schema_encoding: str, schema: bytes
+    ) -> None:
+        """Add a channel of what is derived for viewers; its `key` is not under the prefix. A second time for
+        the same key does nothing.
+
+        Raises:
+            RecordingError: too many channels.
+        """
+        if key in self._viewer_channels:
+            return
+        self._require_room(key)
+        if schema_name not in self._viewer_schemas:
+            self._viewer_schemas[schema_name] = self._mcap.add_schema(schema_name, schema_encoding, schema)
+        channel = self._mcap.add_channel(key, encoding, self._viewer_schemas[schema_name], {})
+        self._viewer_channels[key] = channel
+
+    def draw(self, key: str, data: bytes, log_time_ns: Time, publish_time_ns: Time) -> None:
+        """Record what was derived for viewers, on a channel that was added.
+
+        Raises:
+            RecordingError: the file can't grow, or is closed.
+        """
+        if self._failure:
+            raise RecordingError(self._failure)
+        channel = self._viewer_channels[key]
+        self._mcap.add_message(channel, log_time_ns, publish_time_ns, 0, data)
 
     def tick(self, now: Time) -> None:
         """Say what time it is, on any one clock: where a chunk period has passed since the last flush, flush.
@@ -142,10 +198,7 @@ class RecordingWriter:
         self.close()
 
     def _add_channel(self, name: str) -> ChannelBuffer:
-        if len(self._channels) >= MAX_CHANNELS:
-            raise RecordingError(
-                f"{self.path}: no room for topic {name!r}: {MAX_CHANNELS} topics are the most"
-            )
+        self._require_room(name)
         key = f"{self._prefix}/{name}"
         try:
             schema, metadata = self._schemas[topics.topic(name).type], {"encoding": codec.encoding(name)}
@@ -154,9 +207,27 @@ class RecordingWriter:
         channel = self._channels[name] = self._mcap.add_channel(key, _ENCODING, schema, metadata)
         return channel
 
+    def _require_room(self, name: str) -> None:
+        if len(self._channels) + len(self._viewer_channels) >= MAX_CHANNELS:
+            raise RecordingError(
+                f"{self.path}: no room for topic {name!r}: {MAX_CHANNELS} topics are the most"
+            )
+
     def _fail(self, error: OSError) -> NoReturn:
         self._failure = f"can't write {self.path}: {error.strerror}; what was recorded before can be read"
         raise RecordingError(self._failure) from error
+
+
+def attachment_of(latched: Latched) -> Attachment:
+    """How a latched message from before a file is in it: created when it was sent."""
+    topic, data, log_time, publish_time = latched
+    return Attachment(
+        create_time=min(max(publish_time, 0), LATEST),
+        log_time=min(max(log_time, 0), LATEST),
+        name=f"{LATCHED_NAME}{topic}",
+        media_type="application/msgpack",
+        data=data,
+    )
 
 
 def schema_of(kind: type[Message]) -> bytes:
@@ -179,3 +250,16 @@ def _create(path: Path) -> Any:
 def part(log: Path, number: int) -> Path:
     """Where the part of this number of a recording goes: LOG.mcap, LOG-2.mcap, ..."""
     return log if number == 1 else log.with_name(f"{log.stem}-{number}{log.suffix}")
+
+
+def parts_of(log: Path) -> list[Path]:
+    """The files there are whose names are those of parts of a recording, in order."""
+    found = {}
+    with suppress(OSError):
+        for path in log.parent.iterdir():
+            number = path.name.removeprefix(f"{log.stem}-").removesuffix(log.suffix)
+            if number.isdecimal() and part(log, int(number)) == path:
+                found[int(number)] = path
+        if log.exists():
+            found[1] = log
+    return [path for _, path in sorted(found.items())]

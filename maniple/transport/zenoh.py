@@ -35,6 +35,10 @@ sends it; more than `MAX_BYTES`."""
 OnUnfit: TypeAlias = Callable[[str, Unfit], None]
 """Told the topic name and why."""
 
+PATIENCE_S = 0.5
+"""Who does not read for so long holds nobody up: its session ends, and it connects anew. Zenoh's default is
+5 s."""
+
 _TRY_S = 2.0
 """How long one attempt to connect takes at most, so that a signal is heeded in between."""
 _CRC_BYTES = 4
@@ -55,12 +59,17 @@ _COMMON: Mapping[str, Any] = {
     # The implicit default sends 3 KB and more through /dev/shm: slower, larger, and it leaves files.
     "transport/shared_memory/enabled": False,
     "transport/link/tx/keep_alive": 4,
-    # Who does not read holds nobody up for the default of 5 s: its session ends, and it connects anew.
-    "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,  # us
     # A handshake over TCP that loses every fifth packet of a round trip of 0.2 s seldom takes less than 1 s.
     "transport/unicast/open_timeout": 5000,
     "transport/unicast/accept_timeout": 5000,
 }
+
+_ROOM: Mapping[str, Any] = {
+    f"transport/link/tx/queue/size/{priority}": 16
+    for priority in ("interactive_high", "data_high", "data", "data_low")
+}
+"""Batches of 64 KB that a router may hold for each receiver, by priority: the most there can be, where 2 are
+usual. What a whole platoon says at once is not dropped while the router waits for a processor."""
 
 
 class ZenohSession:
@@ -70,10 +79,19 @@ class ZenohSession:
         self._session = session
         self._prefix = prefix
         self._publishers: dict[str, zenoh.Publisher] = {}
+        self._ordered: dict[str, zenoh.Publisher] = {}
+        self._announced: dict[tuple[str, int], Any] = {}
         self._kept: list[Any] = []
 
     @classmethod
-    def client(cls, endpoint: str, prefix: str, timeout_s: float = 10.0, lease_s: float = LEASE_S) -> Self:
+    def client(
+        cls,
+        endpoint: str,
+        prefix: str,
+        timeout_s: float = 10.0,
+        lease_s: float = LEASE_S,
+        patience_s: float = PATIENCE_S,
+    ) -> Self:
         """Connect to a router, for example "tcp/127.0.0.1:7447". Once connected, it connects again whenever
         the router is back, for as long as it is open.
 
@@ -85,13 +103,15 @@ class ZenohSession:
             "connect/endpoints": [endpoint],
             "connect/timeout_ms": round(min(timeout_s, _TRY_S) * 1000),
             "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
-            "transport/link/tx/lease": round(lease_s * 1000),
+            **_timing(lease_s, patience_s),
         }
         failure = f"can't reach a router at {endpoint} within {timeout_s:g} s"
         return cls(_open(options, failure, time.monotonic() + timeout_s), prefix)
 
     @classmethod
-    def router(cls, endpoint: str, prefix: str, lease_s: float = LEASE_S) -> Self:
+    def router(
+        cls, endpoint: str, prefix: str, lease_s: float = LEASE_S, patience_s: float = PATIENCE_S
+    ) -> Self:
         """Be a router that listens, for example on "tcp/127.0.0.1:7447".
 
         Raises:
@@ -101,7 +121,8 @@ class ZenohSession:
             "mode": "router",
             "listen/endpoints": [endpoint],
             "listen/exit_on_failure": True,
-            "transport/link/tx/lease": round(lease_s * 1000),
+            **_ROOM,
+            **_timing(lease_s, patience_s),
         }
         return cls(
             _open(options, f"can't listen on {endpoint} (address in use, or not of this host)"), prefix
@@ -118,6 +139,20 @@ class ZenohSession:
                 priority=_PRIORITIES[row.priority],
                 congestion_control=_CONGESTION[row.congestion],
                 reliability=_RELIABILITY[row.reliability],
+            )
+        publisher.put(data, attachment=crc_of(data))
+
+    def put_in_order(self, name: str, data: bytes, encoding: str | None = None) -> None:
+        """Send bytes on any name, sealed. What is put so is never dropped but waits for those who are slow,
+        and it arrives in the order of the puts, whatever the names: all have one priority, the default."""
+        publisher = self._ordered.get(name)
+        if publisher is None:
+            publisher = self._ordered[name] = self._session.declare_publisher(
+                self._key(name),
+                encoding=encoding,
+                priority=zenoh.Priority.DATA,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                reliability=zenoh.Reliability.RELIABLE,
             )
         publisher.put(data, attachment=crc_of(data))
 
@@ -168,11 +203,26 @@ class ZenohSession:
 
         self._kept.append(self._session.declare_queryable(self._key(expression), reply))
 
-    def ask(self, name: str, timeout_s: float = 2.0) -> dict[str, bytes]:
-        """What the router keeps under a name: bytes by topic name; empty where nobody answers."""
+    def serve_later(self, name: str, asked: Callable[[bytes, Callable[[bytes], None]], None]) -> None:
+        """Pass on queries for a name: `asked(what came with the query, reply)`; `reply` may be called once,
+        later, from any thread."""
+        key = self._key(name)
+
+        def take(query: zenoh.Query) -> None:
+            def reply(data: bytes) -> None:
+                with query:
+                    query.reply(key, data, attachment=crc_of(data))
+
+            asked(b"" if query.payload is None else query.payload.to_bytes(), reply)
+
+        self._kept.append(self._session.declare_queryable(key, take))
+
+    def ask(self, name: str, timeout_s: float = 2.0, data: bytes | None = None) -> dict[str, bytes]:
+        """What is answered to a name, of the router what it keeps: bytes by topic name; empty where nobody
+        answers. `data` goes with the query."""
         skip = len(self._prefix) + 1
         answers: dict[str, bytes] = {}
-        for reply in self._session.get(self._key(name), timeout=timeout_s):
+        for reply in self._session.get(self._key(name), timeout=timeout_s, payload=data):
             if reply.ok is not None:
                 data, unfit = _checked(reply.ok)
                 if unfit is None:
@@ -183,10 +233,19 @@ class ZenohSession:
         """Wait until the router knows every subscription made here: what is put from now on arrives."""
         self.ask("settle")
 
+    @property
+    def connected(self) -> bool:
+        """Whether a client has its router; what it puts meanwhile is lost."""
+        return bool(self._session.info.routers_zid())
+
     def announce(self, node: str, incarnation: int) -> None:
-        """Show that a life of a node is there, for as long as this session is."""
+        """Show that a life of a node is there, until it is withdrawn, or for as long as this session is."""
         key = self._key(f"alive/{node}/{incarnation}")
-        self._kept.append(self._session.liveliness().declare_token(key))
+        self._announced[node, incarnation] = self._session.liveliness().declare_token(key)
+
+    def withdraw(self, node: str, incarnation: int) -> None:
+        """Show no more that a life is there that was announced here."""
+        self._announced.pop((node, incarnation)).undeclare()
 
     def lives(self, node: str, timeout_s: float = 2.0) -> tuple[int, ...]:
         """The lives of a node that are there now; to be asked before `watch`."""
@@ -220,7 +279,9 @@ class ZenohSession:
         """End the session; what was put before is still sent."""
         self._session.close()
         self._kept.clear()
+        self._announced.clear()
         self._publishers.clear()
+        self._ordered.clear()
 
     def __enter__(self) -> Self:
         return self
@@ -232,6 +293,14 @@ class ZenohSession:
 
     def _key(self, name: str) -> str:
         return f"{self._prefix}/{name}"
+
+
+def _timing(lease_s: float, patience_s: float) -> dict[str, int]:
+    """How long others may be silent, and how long they may not read."""
+    return {
+        "transport/link/tx/lease": round(lease_s * 1000),
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": round(patience_s * 1e6),
+    }
 
 
 def crc_of(data: bytes) -> bytes:
