@@ -56,8 +56,7 @@ def operator_session(connect: str, prefix: str, timeout_s: float) -> Iterator["Z
     """
     from maniple.transport.zenoh import ZenohSession
 
-    if not _ENDPOINT.fullmatch(connect):
-        raise typer.BadParameter(f"{connect!r}: an endpoint looks like {LOCAL}", param_hint="--connect")
+    require_endpoint(connect)
     links = parameters_of(Links, {"prefix": prefix})
     try:
         with ZenohSession.client(connect, links.prefix, timeout_s) as session:
@@ -66,6 +65,16 @@ def operator_session(connect: str, prefix: str, timeout_s: float) -> Iterator["Z
         raise RunError(f"{connect}: {error}") from None
     except ArgumentError as error:
         raise ArgumentError(f"{connect}: {error}") from None
+
+
+def require_endpoint(endpoint: str, option: str = "--connect") -> None:
+    """Refuse what is no endpoint.
+
+    Raises:
+        BadParameter: it is none.
+    """
+    if not _ENDPOINT.fullmatch(endpoint):
+        raise typer.BadParameter(f"{endpoint!r}: an endpoint looks like {LOCAL}", param_hint=option)
 
 
 def latched(session: "ZenohSession", topic: str, timeout_s: float = 2.0) -> Message | None:

@@ -27,6 +27,9 @@ SEEN = "@told/seen"
 HELD = "@told/held/"
 """and with the topic behind it what is latched."""
 
+PLAYED = b"played"
+"""What a recording that is played answers to a claim: no node can take part in it."""
+
 _POLL_S = 0.05
 _ASK_S = 5.0
 _EXACT: Duration = 50 * MILLISECOND
@@ -72,7 +75,7 @@ def claim(session: ZenohSession, node: str, wanted: int | None = None, patience_
     One that was cut off is given `patience_s` to be missed: its lease ends within that.
 
     Raises:
-        TransportError: the node lives, or the wanted life was there already.
+        TransportError: the node lives, the wanted life was there already, or what is there is a recording.
     """
     until = time.monotonic() + patience_s
     while lives := session.lives(node):
@@ -80,7 +83,10 @@ def claim(session: ZenohSession, node: str, wanted: int | None = None, patience_
             raise TransportError(f"{node} is running already (incarnation {lives[-1]}): stop that one first")
         time.sleep(_POLL_S)
     name = f"claim/{node}" if wanted is None else f"claim/{node}/{wanted}"
-    life = int(session.ask(name, _ASK_S).get(name, str(wanted or 1).encode()))
+    answer = session.ask(name, _ASK_S).get(name, str(wanted or 1).encode())
+    if answer == PLAYED:
+        raise TransportError(f"{node} can't join: a recording is played there, nobody lives")
+    life = int(answer)
     if wanted not in (None, life):
         raise TransportError(f"incarnation {wanted} of {node} was there already: the next is {life}")
     return life

@@ -5,6 +5,7 @@ import typer
 from maniple.cli.log.diff import diff
 from maniple.cli.log.export import export
 from maniple.cli.log.info import info
+from maniple.cli.log.play import play, player
 from maniple.cli.log.verify import verify
 
 app = typer.Typer(help="Work with recordings.", no_args_is_help=True)
@@ -19,3 +20,5 @@ app.command()(info)
 app.command()(verify)
 app.command()(diff)
 app.command()(export)
+app.command()(play)
+app.command()(player)
