@@ -1,5 +1,6 @@
 """What arrived and is not yet dealt with: filled by Zenoh's threads, emptied by one."""
 
+import threading
 import time
 from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
@@ -9,11 +10,13 @@ from maniple.core.time import Time
 from maniple.host.liveness import Life
 
 BUDGET = 64 << 20
-"""Bytes: what is larger than this over the number of messages before it is not let in. So a flood takes only
-so much memory, and a large message is not let in behind many."""
+"""Bytes that may wait together, so that a flood takes only so much memory."""
 BACKLOG = "backlog"
 """Asked as "backlog/NODE": how many bytes wait there. Who plays a recording waits for those with many."""
+_SHARE = 8
+"""A message takes at most this part of the room that is left: behind many large ones a small one gets in."""
 _LEAST = 1024
+"""What a message takes at least."""
 _BATCH = 256
 """The most that is taken out at a time, so that a flood does not hold up timers."""
 
@@ -34,22 +37,40 @@ class Unfit(NamedTuple):
     reason: str
 
 
+class Asked(NamedTuple):
+    """Somebody asks something of this host, and waits for a reply."""
+
+    data: bytes
+    reply: Callable[[bytes], None]
+
+
 class Stop(NamedTuple):
     """The end is asked for."""
 
 
-Item: TypeAlias = Arrived | Unfit | Life | Stop
+Item: TypeAlias = Arrived | Unfit | Life | Asked | Stop
 
 
 class Inbox:
     """A queue of them. All but `take` may be called from any thread, `stop` from a signal handler too."""
 
-    def __init__(self) -> None:
+    def __init__(self, budget: int = BUDGET) -> None:
         self._items: SimpleQueue[Item] = SimpleQueue()
+        self._budget = self._room = budget
+        self._lock = threading.Lock()
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that wait."""
+        with self._lock:
+            return self._budget - self._room
 
     def arrived(self, topic: str, data: bytes) -> None:
         """Let bytes in, or only that there were some (reason "flood")."""
-        fits = (self._items.qsize() + 1) * max(len(data), _LEAST) <= BUDGET
+        size = max(len(data), _LEAST)
+        with self._lock:
+            if fits := _SHARE * size <= self._room:
+                self._room -= size
         self._items.put(Arrived(topic, data, time.monotonic_ns()) if fits else Unfit(topic, "flood"))
 
     def unfit(self, topic: str, reason: str) -> None:
@@ -59,6 +80,10 @@ class Inbox:
     def life(self, node: str, incarnation: int, alive: bool) -> None:
         """A liveliness token appeared, or is gone."""
         self._items.put(Life(node, incarnation, alive))
+
+    def asked(self, data: bytes, reply: Callable[[bytes], None]) -> None:
+        """Somebody asks something."""
+        self._items.put(Asked(data, reply))
 
     def stop(self) -> None:
         """Ask for the end."""
@@ -72,4 +97,8 @@ class Inbox:
         except Empty:
             return ()
         more = min(self._items.qsize(), _BATCH - 1)
-        return (first, *(get() for _ in range(more))) if more else (first,)
+        items = (first, *(get() for _ in range(more))) if more else (first,)
+        freed = sum(max(len(item.data), _LEAST) for item in items if isinstance(item, Arrived))
+        with self._lock:
+            self._room += freed
+        return items

@@ -203,11 +203,26 @@ class ZenohSession:
 
         self._kept.append(self._session.declare_queryable(self._key(expression), reply))
 
-    def ask(self, name: str, timeout_s: float = 2.0) -> dict[str, bytes]:
-        """What the router keeps under a name: bytes by topic name; empty where nobody answers."""
+    def serve_later(self, name: str, asked: Callable[[bytes, Callable[[bytes], None]], None]) -> None:
+        """Pass on queries for a name: `asked(what came with the query, reply)`; `reply` may be called once,
+        later, from any thread."""
+        key = self._key(name)
+
+        def take(query: zenoh.Query) -> None:
+            def reply(data: bytes) -> None:
+                with query:
+                    query.reply(key, data, attachment=crc_of(data))
+
+            asked(b"" if query.payload is None else query.payload.to_bytes(), reply)
+
+        self._kept.append(self._session.declare_queryable(key, take))
+
+    def ask(self, name: str, timeout_s: float = 2.0, data: bytes | None = None) -> dict[str, bytes]:
+        """What is answered to a name, of the router what it keeps: bytes by topic name; empty where nobody
+        answers. `data` goes with the query."""
         skip = len(self._prefix) + 1
         answers: dict[str, bytes] = {}
-        for reply in self._session.get(self._key(name), timeout=timeout_s):
+        for reply in self._session.get(self._key(name), timeout=timeout_s, payload=data):
             if reply.ok is not None:
                 data, unfit = _checked(reply.ok)
                 if unfit is None:
