@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import lru_cache
 from multiprocessing import get_context, parent_process
 from multiprocessing.synchronize import Event
 from pathlib import Path
@@ -196,7 +197,7 @@ def _one_by_one(
         on_progress(Progress(done, len(nodes)))
         watch()
         proofs += _prove(order, node, watch)
-    return census(read(order.file)), tuple(proofs)
+    return census(_opened(order.file)), tuple(proofs)
 
 
 def _side_by_side(
@@ -262,10 +263,16 @@ def _prove_here(order: Order, node: str) -> tuple[Proof, ...]:
 
 
 def _count_here(order: Order) -> Census:
-    return census(read(order.file))
+    return census(_opened(order.file))
 
 
 def _prove(order: Order, node: str, watch: Callable[[], None]) -> tuple[Proof, ...]:
-    recording = read(order.file)
+    recording = _opened(order.file)
     make = factories(recording.scenario)[node]
     return prove(recording, node, make, order.tolerance, order.trace, watch)
+
+
+@lru_cache(1)
+def _opened(file: Path) -> Recording:
+    """A recording, which is found out about once in a process."""
+    return read(file)
