@@ -14,6 +14,7 @@ from benchmarks.common import Row, show
 
 NAMES = (
     "virtual_run",
+    "verify",
     "range_kernel",
     "formation_tick",
     "recorder",
