@@ -18,6 +18,7 @@ NAMES = (
     "range_kernel",
     "formation_tick",
     "recorder",
+    "viewer",
     "round_trip",
     "agent_footprint",
     "compensation",

@@ -149,7 +149,7 @@ def _robot(
     label = TextPrimitive(
         pose=pose(0.0, 0.0, BODY_M + 0.25),
         billboard=True,
-        font_size=0.2,
+        font_size=0.3,
         color=colour(halo or paint),
         text=f"{name}: {words}" if words else name,
     )
