@@ -76,7 +76,8 @@ KINDS: tuple[Kind, ...] = (
         "phases",
         "Phases",
         phases.phases,
-        "What the controller and each robot were doing; blank where nothing was heard.",
+        "What the controller and each robot were doing, blank where nothing was heard; and what was "
+        "injected, thin where it was on all the time.",
         "Neither the controller nor any robot said what it was doing.",
     ),
     Kind(

@@ -1,6 +1,6 @@
 """Figures of quantities over time."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 from maniple.core.geometry import Floats
+from maniple.core.palette import COLOURS
 from maniple.report.samples import Band, Track, band
 from maniple.report.series import RobotSeries, Series
 from maniple.report.style import (
     BLUE,
-    COLOURS,
     GREEN,
     INK,
     MANY,
@@ -29,6 +29,7 @@ from maniple.report.style import (
     panels,
     patch,
     row,
+    shade,
     shared_limits,
     sheet,
     thinned,
@@ -46,7 +47,7 @@ def errors(series: Series) -> Figure | None:
     if not triangles:
         return None
     if len(triangles) > MANY_TRIANGLES:
-        return _errors_together([one.seen for one in triangles], [one.true for one in triangles])
+        return _errors_together(series, [one.seen for one in triangles], [one.true for one in triangles])
     figure = sheet(0.95 * len(triangles) + 0.85)
     kinds = (PLACE, SIDES, RADIANS)
     grid = panels(figure, len(triangles), len(kinds))
@@ -68,11 +69,12 @@ def errors(series: Series) -> Figure | None:
         row(VARIABLES[k], color=COLOURS[k], ls=STRIPES[k % len(STRIPES)]) for k in (*PLACE, *SIDES, *RADIANS)
     ]
     rows.append(row("truth", color=STONE, lw=2.2, alpha=0.5))
+    rows += _shade(grid, series)
     legend(figure, rows, columns=4)
     return figure
 
 
-def _errors_together(seen: list[Track], true: list[Track]) -> Figure:
+def _errors_together(series: Series, seen: list[Track], true: list[Track]) -> Figure:
     """The errors of many triangles, a panel for each variable."""
     figure = sheet(3.6)
     grid = panels(figure, 3, 2)
@@ -83,11 +85,9 @@ def _errors_together(seen: list[Track], true: list[Track]) -> Figure:
             axes.plot(extremes.t, level, color=INK, lw=0.6, ls=STRIPES[2])
         axes.set_title(VARIABLES[column])
         axes.set_ylabel("error [rad]" if column in RADIANS else "error [m]")
-    legend(
-        figure,
-        [*band_rows(BLUE, f"of {len(seen)} triangles"), row("truth, all", color=INK, lw=0.6, ls=STRIPES[2])],
-        columns=2,
-    )
+    rows = band_rows(BLUE, f"of {len(seen)} triangles")
+    truth = row("truth, all", color=INK, lw=0.6, ls=STRIPES[2])
+    legend(figure, [*rows, truth, *_shade(grid, series)], columns=2)
     return figure
 
 
@@ -103,7 +103,7 @@ def velocities(series: Series) -> Figure | None:
         row(word, color=BLUE),
     ]
     if len(robots) > MANY:
-        return _velocities_together(robots, word, sideways)
+        return _velocities_together(series, robots, word, sideways)
     figure = sheet(0.72 * len(robots) + 0.75)
     grid = panels(figure, len(robots), 2)
     for robot, (linear, angular) in zip(robots, grid, strict=True):
@@ -124,6 +124,7 @@ def velocities(series: Series) -> Figure | None:
             row("sideways, commanded", color=ORANGE, ls=STRIPES[1]),
             row(f"sideways, {word}", color=GREEN),
         ]
+    rows += _shade(grid, series)
     legend(figure, rows, columns=2)
     return figure
 
@@ -133,7 +134,7 @@ def _goes_sideways(robot: RobotSeries) -> bool:
     return bool(np.nanmax(np.abs(robot.commanded.values[:, 2]), initial=0.0) > 1e-6)
 
 
-def _velocities_together(robots: list[RobotSeries], word: str, sideways: bool) -> Figure:
+def _velocities_together(series: Series, robots: list[RobotSeries], word: str, sideways: bool) -> Figure:
     """The velocities of many robots, a row for each component."""
     names = (("u [m/s]", 0), ("w [rad/s]", 1), ("v [m/s]", 2))[: 3 if sideways else 2]
     figure = sheet(1.15 * len(names) + 0.8)
@@ -145,7 +146,8 @@ def _velocities_together(robots: list[RobotSeries], word: str, sideways: bool) -
             axes.plot(told.t, level, color=RED, lw=0.6, ls=STRIPES[2])
         axes.set_ylabel(label)
     rows = band_rows(BLUE, f"{word}, {len(robots)} robots")
-    legend(figure, [*rows, row("commanded, all", color=RED, lw=0.6, ls=STRIPES[2])], columns=2)
+    told_row = row("commanded, all", color=RED, lw=0.6, ls=STRIPES[2])
+    legend(figure, [*rows, told_row, *_shade(grid, series)], columns=2)
     return figure
 
 
@@ -175,6 +177,7 @@ def clearance(series: Series) -> Figure | None:
         rows.append(row("contact", color=RED, ls="", marker="x", ms=5))
     axes.set_ylabel("clearance [m]")
     axes.set_ylim(bottom=min(axes.get_ylim()[0], -0.02))
+    rows += _shade([[axes]], series)
     legend(figure, rows, columns=4)
     return figure
 
@@ -199,6 +202,7 @@ def ages(series: Series) -> Figure | None:
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.yaxis.set_minor_locator(NullLocator())
     axes.set_ylabel("command age [s]")
+    rows += _shade([[axes]], series)
     legend(figure, rows, columns=4)
     return figure
 
@@ -223,7 +227,8 @@ def compensation(series: Series) -> Figure | None:
         axes.ticklabel_format(axis="y", useOffset=False)
     few = len(robots) <= MANY
     rows = [row(r.id, **look(i)) for i, r in robots] if few else band_rows(BLUE, f"of {len(robots)} robots")
-    legend(figure, [*rows, row("model", color=INK, lw=0.7, ls=STRIPES[2])], columns=4)
+    model = row("model", color=INK, lw=0.7, ls=STRIPES[2])
+    legend(figure, [*rows, model, *_shade(grid, series)], columns=4)
     return figure
 
 
@@ -274,7 +279,7 @@ def network(series: Series) -> Figure | None:
         kinds.append(row(share.kind, **how))
     lines.set(xlabel="time [s]", ylabel="delivered [%]", ylim=(-4, 104))
     fates = [patch(name, facecolor=c, hatch=h, edgecolor="white", lw=0) for name, c, h in NETWORK]
-    legend(figure, [*fates, *kinds], columns=4)
+    legend(figure, [*fates, *kinds, *_shade([[lines]], series)], columns=4)
     return figure
 
 
@@ -285,6 +290,11 @@ def _middle_and_worst(shares: Floats) -> tuple[Floats, Floats]:
     spans = np.arange(shares.shape[1])
     low, high = np.maximum(known - 1, 0) // 2, np.minimum(known // 2, len(shares) - 1)
     return 0.5 * (ordered[low, spans] + ordered[high, spans]), ordered[0]
+
+
+def _shade(grid: Sequence[Sequence[Axes]], series: Series) -> list[Artist]:
+    """Bands where faults were on, in all panels; returns the rows of the legend."""
+    return shade((axes for line_of_axes in grid for axes in line_of_axes), series.injected, series.end_s)
 
 
 def line(axes: Axes, track: Track, column: int, **how: object) -> None:

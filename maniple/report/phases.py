@@ -12,19 +12,22 @@ from maniple.report.style import (
     BLUE,
     FAINT,
     GREEN,
+    INJECTED,
     INK,
     ORANGE,
     PURPLE,
     RED,
     SKY,
     STONE,
+    lasts,
     legend,
     panels,
     patch,
     row,
     sheet,
+    union,
 )
-from maniple.report.timeline import Span
+from maniple.report.timeline import FaultKind, Span
 
 MANY_ROWS = 12
 """More robots than this are counted instead of shown one by one."""
@@ -46,6 +49,9 @@ BANDS = {
 SLOW = 10
 """The rate of the reference is shown where more samples than this are below 1, as it is at every start."""
 
+LETTER = 0.02
+"""Width of a letter of a small text, as a share of the time shown."""
+
 COUNTED = 300
 """Moments at which many robots are counted."""
 
@@ -57,7 +63,8 @@ def phases(series: Series) -> Figure | None:
         return None
     few = len(robots) <= MANY_ROWS
     slows = bool((series.rate.values < 0.999).sum() > max(SLOW, 0.01 * len(series.rate.t)))
-    rows = 1 + (len(robots) if few else 0) + bool(series.notes)
+    kinds = [kind for kind in INJECTED if any(one.kind == kind for one in series.injected)]
+    rows = 1 + (len(robots) if few else 0) + bool(series.notes) + len(kinds)
     heights = [0.15 * rows + 0.1, *([] if few else [0.9]), *([0.55] if slows else [])]
     figure = sheet(sum(heights) + 0.95)
     grid = panels(figure, len(heights), height_ratios=heights)
@@ -75,6 +82,9 @@ def phases(series: Series) -> Figure | None:
     if series.notes:
         names.append("supervisor")
         _marks(axes, len(names) - 1, series.notes, INK, 0.5)
+    for kind in kinds:
+        names.append(INJECTED[kind][0])
+        _injected(axes, len(names) - 1, series, kind)
     if slows:
         rest[0].plot(series.rate.t, series.rate.values[:, 0], color=BLUE)
         rest[0].set(ylim=(-0.05, 1.05), ylabel="rate of the\nreference")
@@ -99,6 +109,23 @@ def _marks(axes: Axes, place: int, spans: Sequence[Span], colour: str, thick: fl
     axes.broken_barh(
         where, (place + 0.36 - thick, thick), facecolor=colour, edgecolor=colour, lw=0.6, zorder=3
     )
+
+
+def _injected(axes: Axes, place: int, series: Series, kind: FaultKind) -> None:
+    """When something of a kind was injected, thin what was on all the time; of nodes, which, where there is
+    room."""
+    those = [one for one in series.injected if one.kind == kind]
+    passing = [one for one in those if not lasts(one, series.end_s)]
+    for spans, thick in ((union(those, kind), 0.24), (union(passing, kind), 0.72)):
+        where = [(begin, max(end - begin, 0.003 * series.end_s)) for begin, end in spans]
+        axes.broken_barh(where, (place - 0.5 * thick, thick), zorder=2, **INJECTED[kind][1])
+    free = 0.0
+    for begin, _, _, who in those if kind in ("frozen", "killed") else ():
+        if begin >= free:
+            axes.annotate(
+                who, (begin, place), (1.5, 0), textcoords="offset points", va="center", fontsize=6, zorder=4
+            )
+            free = begin + LETTER * len(who) * series.end_s
 
 
 def _count(axes: Axes, series: Series, robots: int) -> None:

@@ -39,7 +39,7 @@ from maniple.report.delivery import Delivery, Share
 from maniple.report.links import LinkTotals
 from maniple.report.samples import Samples, Track, seconds, with_gaps
 from maniple.report.summary import RunFigures, Summary, under_way
-from maniple.report.timeline import Event, Span, events_of, spans_of
+from maniple.report.timeline import Event, Injected, Span, events_of, injected_of, spans_of
 from maniple.report.true_time import TrueTime, epoch_of
 from maniple.report.truth import (
     Ground,
@@ -136,6 +136,8 @@ class Series(NamedTuple):
     shares: tuple[Share, ...]
     """By kind of message, the share that was delivered over time."""
     events: tuple[Event, ...]
+    injected: tuple[Injected, ...]
+    """When which faults were on."""
     task_share: float
     """How much of the task's time the reference has covered at the end."""
     last_state: FormationState | None
@@ -253,6 +255,7 @@ class _Reader:
                 self._plans or self._unsaid,
                 end,
             ),
+            injected=injected_of(self._plans or self._unsaid, begin, end),
             task_share=min(counted[0], 1.0) if counted else 0.0,
             last_state=self._states[-1] if self._states else None,
             unreadable=dict(sorted(self._unreadable.items())),

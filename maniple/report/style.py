@@ -14,6 +14,7 @@ from matplotlib.patches import Patch
 
 from maniple.core.palette import COLOURS
 from maniple.report.samples import Band
+from maniple.report.timeline import FaultKind, Injected
 
 BLUE, RED, GREEN, PURPLE, ORANGE, SKY = COLOURS
 INK, STONE, FAINT = "#222222", "#8C8C8C", "#D9D9D9"
@@ -61,6 +62,14 @@ LOOK: Any = {
 }
 """Settings of matplotlib that hold while a figure is drawn and saved."""
 
+INJECTED: Mapping[FaultKind, tuple[str, dict[str, Any]]] = {
+    "links": ("link faults", {"facecolor": "#FBEFD5", "edgecolor": "#E6CF9C", "lw": 0.4}),
+    "partition": ("partition", {"facecolor": "#E3EEF7", "edgecolor": "#A9C6DD", "lw": 0.4, "hatch": "//"}),
+    "frozen": ("frozen", {"facecolor": "#E8E0EC", "edgecolor": "#B9A3C4", "lw": 0.4, "hatch": "\\\\"}),
+    "killed": ("killed", {"facecolor": "#DADADA", "edgecolor": "#8C8C8C", "lw": 0.4}),
+}
+"""How what is injected is drawn."""
+
 HANDLE_EM = 2.2 + 0.8 + 1.2
 """Width of what is beside a text in a legend: handle, gap, gap between columns."""
 
@@ -91,6 +100,38 @@ def save(figure: Figure, path: Path) -> None:
     """Write a figure; the suffix chooses PNG or SVG. The same figure gives the same bytes."""
     with rc_context(LOOK):
         figure.savefig(path, dpi=PNG_DPI, metadata=_BARE[path.suffix])
+
+
+def shade(axes: Iterable[Axes], injected: Sequence[Injected], end_s: float) -> list[Artist]:
+    """Bands behind lines over time where faults were on, and the rows of their legend. What was on all the
+    time would be behind everything, and is left out."""
+    axes = list(axes)
+    rows: list[Artist] = []
+    passing = [one for one in injected if not lasts(one, end_s)]
+    for kind, (label, how) in INJECTED.items():
+        spans = union(passing, kind)
+        for one in axes:
+            for begin, end in spans:
+                one.axvspan(begin, max(end, begin + 0.002 * end_s), zorder=0.3, **how)
+        if spans:
+            rows.append(patch(label, **how))
+    return rows
+
+
+def lasts(one: Injected, end_s: float) -> bool:
+    """Whether something is on all the time."""
+    return one.end - one.begin > 0.98 * end_s
+
+
+def union(injected: Iterable[Injected], kind: str) -> list[tuple[float, float]]:
+    """When anything of a kind was on."""
+    spans: list[tuple[float, float]] = []
+    for begin, end, _, _ in sorted(one for one in injected if one.kind == kind):
+        if spans and begin <= spans[-1][1]:
+            spans[-1] = spans[-1][0], max(end, spans[-1][1])
+        else:
+            spans.append((begin, end))
+    return spans
 
 
 def look(index: int) -> dict[str, Any]:

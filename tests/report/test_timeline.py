@@ -2,7 +2,7 @@ from maniple.core.messages import EmergencyStop, FaultPlan, FormationState, Goal
 from maniple.core.plans import BLANK
 from maniple.core.scenario.types import Crash, Fault, Formation, Freeze, Line, Partition
 from maniple.core.time import SECOND
-from maniple.report.timeline import Span, events_of, spans_of
+from maniple.report.timeline import Span, events_of, injected_of, spans_of
 
 
 def spans(*said: tuple[float, str], end: float = 10.0, silent: float = 3.0) -> list[Span]:
@@ -146,3 +146,55 @@ def test_an_emergency_stop_is_told_once() -> None:
     stops.append(EmergencyStop(stopped=False, source="operator", incarnation=8, stamp_ns=at(4)))
     events = events_of([], [], [], at(1), stops)
     assert events == ((1.0, "emergency stop: x"), (3.0, "armed"))
+
+
+def on(*plans: FaultPlan, end_s: float = 100) -> list[tuple[float, float, str, str]]:
+    return [tuple(one) for one in injected_of(plans, at(5), at(5 + end_s))]
+
+
+def test_faults_last_as_long_as_they_are_planned() -> None:
+    plan = FaultPlan(
+        since_ns=at(5),
+        faults=(Fault(source="r3", loss=0.1, windows=((10, 20), (30, 135))), Fault(latency_s=0.1)),
+        partitions=(Partition(groups=(("r1", "r2"), ("r3",)), at_s=40, for_s=4),),
+        crashes=(
+            Crash(node="controller", at_s=50, restart_after_s=3),
+            Crash(node="r4", at_s=60),
+            Crash(node="r5", at_s=200),
+        ),
+        freezes=(Freeze(node="r2", at_s=55, for_s=2),),
+    )
+    assert on(plan) == [
+        (0.0, 100.0, "links", "* to *"),
+        (10.0, 20.0, "links", "r3 to *"),
+        (30.0, 100.0, "links", "r3 to *"),
+        (40.0, 44.0, "partition", "r1,r2 | r3"),
+        (50.0, 53.0, "killed", "controller"),
+        (55.0, 57.0, "frozen", "r2"),
+        (60.0, 100.0, "killed", "r4"),
+    ]
+
+
+def test_rules_end_with_their_plan_and_the_dead_stay_dead() -> None:
+    rule = Fault(source="r1", loss=0.1)
+    parted = Partition(groups=(("r1",),), at_s=5)
+    crash = Crash(node="r4", at_s=6, restart_after_s=20)
+    plans = [
+        FaultPlan(since_ns=at(5), stamp_ns=at(5), faults=(rule,), partitions=(parted,), crashes=(crash,)),
+        FaultPlan(since_ns=at(5), stamp_ns=at(12), faults=(rule,), partitions=(parted,)),
+        FaultPlan(since_ns=at(5), stamp_ns=at(15), partitions=(parted,)),
+        FaultPlan(since_ns=at(5), stamp_ns=at(20)),
+        FaultPlan(since_ns=at(5), stamp_ns=at(35), faults=(rule,)),
+    ]
+    assert on(*plans) == [
+        (0.0, 10.0, "links", "r1 to *"),
+        (5.0, 15.0, "partition", "r1"),
+        (6.0, 26.0, "killed", "r4"),
+        (30.0, 100.0, "links", "r1 to *"),
+    ]
+
+
+def test_what_is_planned_for_before_the_recording_begins_there() -> None:
+    """It was started late, or its clock says so."""
+    plan = FaultPlan(since_ns=at(1), stamp_ns=at(1), faults=(Fault(loss=0.1, windows=((0, 10), (1, 2))),))
+    assert on(plan) == [(0.0, 6.0, "links", "* to *")]
