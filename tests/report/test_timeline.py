@@ -148,7 +148,7 @@ def test_an_emergency_stop_is_told_once() -> None:
     assert events == ((1.0, "emergency stop: x"), (3.0, "armed"))
 
 
-def on(*plans: FaultPlan, end_s: float = 100) -> list[tuple[float, float, str, str]]:
+def on(*plans: FaultPlan, end_s: float = 100) -> list[tuple[object, ...]]:
     return [tuple(one) for one in injected_of(plans, at(5), at(5 + end_s))]
 
 
