@@ -10,6 +10,7 @@ import pytest
 
 from maniple.core.errors import TransportError
 from maniple.transport.zenoh import MAX_BYTES, ZenohSession, crc_of
+from tests.waiting import eventually
 
 DEADLINE_S = 20.0
 
@@ -196,3 +197,54 @@ def test_a_session_is_back_when_its_router_is() -> None:
                 mouth.put("formation/state", b"heard")
                 time.sleep(0.01)
             assert heard.get_nowait() == b"heard"
+
+
+def test_what_is_put_in_order_arrives_so_with_its_encoding_and_seal(endpoint: str) -> None:
+    names = ("robot/r1/command", "journal/r1", "made/up", "robot/r1/odometry")
+    heard: SimpleQueue[tuple[str, bytes, bytes, str]] = SimpleQueue()
+    with ZenohSession.client(endpoint, "test") as ear, ZenohSession.client(endpoint, "test") as mouth:
+        subscriber = ear._session.declare_subscriber(
+            "test/**",
+            lambda sample: heard.put(
+                (
+                    str(sample.key_expr),
+                    sample.payload.to_bytes(),
+                    b"" if sample.attachment is None else sample.attachment.to_bytes(),
+                    str(sample.encoding),
+                )
+            ),
+        )
+        ear.settle()
+        for number in range(10_000):
+            name = names[number % 4]
+            mouth.put_in_order(name, b"%d" % number, None if name == "made/up" else "text/plain")
+        got = [heard.get(timeout=DEADLINE_S) for _ in range(10_000)]
+        subscriber.undeclare()
+    for number, (key, data, seal, encoding) in enumerate(got):
+        assert key == f"test/{names[number % 4]}"
+        assert data == b"%d" % number
+        assert seal == crc_of(data)
+        assert encoding == ("zenoh/bytes" if key == "test/made/up" else "text/plain")
+
+
+def test_who_is_withdrawn_is_there_no_more(endpoint: str) -> None:
+    changes: SimpleQueue[tuple[str, int, bool]] = SimpleQueue()
+    with ZenohSession.client(endpoint, "test") as watcher, ZenohSession.client(endpoint, "test") as node:
+        watcher.watch(lambda *life: changes.put(life))
+        node.announce("r1", 2)
+        assert changes.get(timeout=DEADLINE_S) == ("r1", 2, True)
+        node.withdraw("r1", 2)
+        assert changes.get(timeout=DEADLINE_S) == ("r1", 2, False)
+        node.announce("r1", 2)
+        assert changes.get(timeout=DEADLINE_S) == ("r1", 2, True)
+
+
+def test_a_client_knows_whether_it_has_its_router() -> None:
+    address = f"tcp/127.0.0.1:{free_port()}"
+    router = ZenohSession.router(address, "test")
+    with ZenohSession.client(address, "test", timeout_s=0.5) as client:
+        assert client.connected
+        router.close()
+        eventually(lambda: not client.connected)
+        with ZenohSession.router(address, "test"):
+            eventually(lambda: client.connected)
