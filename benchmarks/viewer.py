@@ -37,7 +37,7 @@ def rows(quick: bool = False) -> list[Row]:
             rounds=1 if quick else 5,
         )
     scale = 1e3 / span_s
-    return [Row("6 robots", drawing * scale, "ms", "recording their messages", writing * scale, BUDGET)]
+    return [Row("6 robots, 360 beams", drawing * scale, "ms", "recording them", writing * scale, BUDGET)]
 
 
 def _draw(viewer: Viewer, said: list[Recorded]) -> None:

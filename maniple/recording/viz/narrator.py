@@ -29,7 +29,7 @@ class Narrator:
         self._lives: dict[str, int] = {}
         self._contacts: frozenset[str] = frozenset()
         self._stopped_by: tuple[str, int] | None = None
-        self._goal = ""
+        self._goal: str | None = None
         self._told: set[tuple[float, str]] = set()
         self._to_come: list[tuple[Time, float, str]] = []
         self._handlers: Mapping[type[Message], Callable[[Any], Iterable[Line]]] = {
