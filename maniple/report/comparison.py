@@ -178,7 +178,7 @@ def difference(pair: Pair, column: int) -> tuple[Floats, Floats, Floats, Floats]
     t, values = dense.t[inside], dense.values[inside, 0]
     angle = pair.fields[column] == "psi_rad"
     base = _unwrapped(sparse.values[:, 0]) if angle else sparse.values[:, 0]
-    matched = np.interp(t, sparse.t, base)
+    matched = base if np.array_equal(t, sparse.t) else np.interp(t, sparse.t, base)
     known = np.isfinite(values) & np.isfinite(matched)
     t, values, matched = t[known], values[known], matched[known]
     a, b = (matched, values) if swapped else (values, matched)

@@ -105,9 +105,17 @@ def formation(pairs: Sequence[Pair], names: tuple[str, str]) -> Figure | None:
     return figure
 
 
-def robots(pairs: Sequence[Pair], names: tuple[str, str]) -> Figure | None:
-    """What the robots were told in both runs: a row for each, or all together. None without any."""
-    told = _told(pairs)
+def commands(pairs: Sequence[Pair], names: tuple[str, str]) -> Figure | None:
+    """What the controller told the robots: a row for each, or all together. None where that is not known."""
+    return _robots(_told(pairs, "command"), names)
+
+
+def drives(pairs: Sequence[Pair], names: tuple[str, str]) -> Figure | None:
+    """What the drives were told after the guard, likewise."""
+    return _robots(_told(pairs, "drive"), names)
+
+
+def _robots(told: Sequence[Pair], names: tuple[str, str]) -> Figure | None:
     if not told:
         return None
     if len(told) > MANY:
@@ -144,10 +152,11 @@ def differences(pairs: Sequence[Pair], _: tuple[str, str]) -> Figure | None:
     places = [pair for pair in pairs if pair.name.endswith("/pose")]
     if places:
         drawings.append(("place [m]", [(_robot(pair), *_hypot(pair)) for pair in places]))
-    if told := _told(pairs):
-        for column, field in enumerate(told[0].fields[:2]):
+    for what in ("command", "drive"):
+        told = _told(pairs, what)
+        for column, field in enumerate(told[0].fields[:2] if told else ()):
             rows = [(_robot(pair), *_size(pair, column)) for pair in told]
-            drawings.append((_LABELS[field], rows))
+            drawings.append((f"{what} {_LABELS[field]}", rows))
     drawings = [(label, rows) for label, rows in drawings if any((off > 0).any() for _, _, off in rows)]
     if not drawings:
         return None
@@ -164,15 +173,14 @@ def differences(pairs: Sequence[Pair], _: tuple[str, str]) -> Figure | None:
 
 _KINDS: tuple[tuple[str, str, Callable[[Sequence[Pair], tuple[str, str]], Figure | None]], ...] = (
     ("formation", "Formation errors, clearance and command age", formation),
-    ("commands", "Commands to the robots", robots),
+    ("commands", "Commands to the robots", commands),
+    ("drives", "Commands to the drives", drives),
     ("differences", "Differences", differences),
 )
 
 
-def _told(pairs: Sequence[Pair]) -> list[Pair]:
-    """What the controller told the robots where that was compared, else what their drives were told."""
-    commands = [pair for pair in pairs if pair.name.endswith("/command")]
-    return commands or [pair for pair in pairs if pair.name.endswith("/drive")]
+def _told(pairs: Sequence[Pair], what: str) -> list[Pair]:
+    return [pair for pair in pairs if pair.name.endswith(f"/{what}")]
 
 
 def _robot(pair: Pair) -> str:

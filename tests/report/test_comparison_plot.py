@@ -7,7 +7,7 @@ import pytest
 
 from maniple.core.errors import ArgumentError
 from maniple.report.comparison import Pair
-from maniple.report.comparison_plot import differences, formation, robots, write
+from maniple.report.comparison_plot import commands, differences, drives, formation, write
 from maniple.report.samples import Track
 
 T = np.linspace(0.0, 10.0, 101)
@@ -31,7 +31,7 @@ def pairs(count: int, off: float = 0.01) -> list[Pair]:
 @pytest.mark.parametrize("count", [3, 12])
 def test_all_pictures_are_written(tmp_path: Path, count: int) -> None:
     written = write(pairs(count), NAMES, tmp_path / "plots")
-    assert [drawn.files[0].name for drawn in written] == ["formation.png", "commands.png", "differences.png"]
+    assert [drawn.files[0].name for drawn in written] == ["formation.png", "drives.png", "differences.png"]
     first = [path.read_bytes() for drawn in written for path in drawn.files]
     again = write(pairs(count), NAMES, tmp_path / "plots")
     assert [path.read_bytes() for drawn in again for path in drawn.files] == first
@@ -40,13 +40,14 @@ def test_all_pictures_are_written(tmp_path: Path, count: int) -> None:
 def test_where_nothing_differs_there_is_no_picture_of_differences(tmp_path: Path) -> None:
     (tmp_path / "differences.png").write_bytes(b"old")
     written = write(pairs(3, 0.0), NAMES, tmp_path)
-    assert [drawn.files[0].stem for drawn in written] == ["formation", "commands"]
+    assert [drawn.files[0].stem for drawn in written] == ["formation", "drives"]
     assert not (tmp_path / "differences.png").exists()
 
 
 def test_what_there_is_not_is_not_drawn() -> None:
     assert formation([], NAMES) is None
-    assert robots([], NAMES) is None
+    assert commands([], NAMES) is None
+    assert drives([], NAMES) is None
     assert differences([], NAMES) is None
 
 
@@ -55,7 +56,7 @@ def test_a_run_that_lacks_a_quantity_is_drawn_without() -> None:
         return Track(track.t[:0], track.values[:0])
 
     assert formation([one._replace(b=empty(one.b)) for one in pairs(3)], NAMES) is not None
-    assert robots([one._replace(a=empty(one.a)) for one in pairs(3)], NAMES) is not None
+    assert drives([one._replace(a=empty(one.a)) for one in pairs(3)], NAMES) is not None
     assert differences([one._replace(a=empty(one.a)) for one in pairs(3)], NAMES) is None
 
 

@@ -93,21 +93,25 @@ def diff(
     if as_json:
         typer.echo(msgspec.json.encode(result))
     else:
-        _show(result, Console(width=None if Console().is_terminal else 120))
+        show(result, Console(width=None if Console().is_terminal else 120))
     raise typer.Exit(0 if result.same else 1)
 
 
-def _show(result: "Diff", console: Console) -> None:
+def show(result: "Diff", console: Console, verdict: bool = True) -> None:
+    """A comparison for people; without `verdict` nothing is said to be right or wrong."""
     console.print(f"A  {result.a}\nB  {result.b}", highlight=False, markup=False, soft_wrap=True)
     show_changes(console, "they came about otherwise", result.made)
     show_changes(console, "the scenarios differ", result.scenario)
-    show_outcome(console, result.outcome, judged=result.by == "time")
-    show_series(console, result.series, judged=result.by == "time")
+    judged = verdict and result.by == "time"
+    show_outcome(console, result.outcome, judged)
+    show_series(console, result.series, judged)
     if result.by == "message":
         show_messages(console, result.messages)
     for picture in result.pictures:
         console.print(f"picture: {picture}", highlight=False, markup=False, soft_wrap=True)
-    console.print(_verdict(result), style="green" if result.same else "red", highlight=False, soft_wrap=True)
+    if verdict:
+        style = "green" if result.same else "red"
+        console.print(_verdict(result), style=style, highlight=False, soft_wrap=True)
 
 
 def _verdict(result: "Diff") -> str:
@@ -174,7 +178,7 @@ def show_series(console: Console, rows: "tuple[Apart, ...]", judged: bool) -> No
         console.print(table)
 
 
-def show_messages(console: Console, topics: "tuple[TopicDifference, ...]") -> None:
+def show_messages(console: Console, topics: "tuple[TopicDifference, ...]", judged: bool = True) -> None:
     """How messages compare, robots together, and what differs in which field."""
     table = Table("messages of", box=None, padding=(0, 2, 0, 0))
     for heading in ("A", "B", "identical", "within", "beyond", "only in A", "only in B"):
@@ -191,7 +195,7 @@ def show_messages(console: Console, topics: "tuple[TopicDifference, ...]") -> No
                     strict=True,
                 )
             ]
-            bad = not all(topic.same for topic in group)
+            bad = judged and not all(topic.same for topic in group)
             table.add_row(kind, *map(str, numbers), style="red" if bad else "")
     if table.rows:
         console.print(table)

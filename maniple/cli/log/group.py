@@ -6,6 +6,7 @@ from maniple.cli.log.diff import diff
 from maniple.cli.log.export import export
 from maniple.cli.log.info import info
 from maniple.cli.log.play import play, player
+from maniple.cli.log.rerun import rerun
 from maniple.cli.log.verify import verify
 
 app = typer.Typer(help="Work with recordings.", no_args_is_help=True)
@@ -22,3 +23,4 @@ app.command()(diff)
 app.command()(export)
 app.command()(play)
 app.command()(player)
+app.command()(rerun)
