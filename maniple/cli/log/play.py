@@ -38,6 +38,8 @@ _LINE_EVERY_S = 10.0
 _END_WITHIN_S = 2.0
 """How long an interrupted play may wait for a listener that does not read."""
 _PORTS = 3
+CONNECT_S = 5.0
+"""How long a router is waited for."""
 _KEYS = "space: pause, s: step, q: end"
 
 
@@ -178,7 +180,7 @@ def _session(connect: str | None, listen: str | None, prefix: str) -> tuple["Zen
     if connect is not None:
         require_endpoint(connect)
         try:
-            return ZenohSession.client(connect, prefix, patience_s=PATIENCE_S), connect
+            return ZenohSession.client(connect, prefix, CONNECT_S, patience_s=PATIENCE_S), connect
         except TransportError as error:
             raise RunError(str(error)) from None
     if listen is not None:
