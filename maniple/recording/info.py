@@ -1,39 +1,28 @@
-"""What a recording holds: channels, counts, rates, and gaps by sequence number."""
+"""What a recording holds: channels, counts, rates, and what is missing by sequence number."""
 
 from collections import defaultdict
 from collections.abc import Iterable
+from functools import cached_property
 
 import msgspec
+from msgspec import structs
 
 from maniple.core import topics
 from maniple.core.envelope import header_of
 from maniple.core.errors import MessageError
+from maniple.core.messages import Journal
 from maniple.core.time import Time, to_seconds
+from maniple.recording.absence import Absences
 from maniple.recording.reader import Recorded, Recording
+from maniple.recording.scan import Damage, checksum_of
+from maniple.recording.tally import Gap, Stream, Tally
 
 
-class Gap(msgspec.Struct, frozen=True):
-    """Sequence numbers that are missing, both ends included."""
+class StreamInfo(Stream, frozen=True, kw_only=True):
+    """The same, with what is missing on purpose told apart."""
 
-    first: int
-    last: int
-
-
-class Stream(msgspec.Struct, frozen=True, kw_only=True):
-    """The messages of one life of one sender on one topic; its `seq` counts from 0."""
-
-    source: str
-    incarnation: int
-    received: int
-    expected: int
-    """From 0 to the highest `seq` seen; what was lost after that leaves no sign."""
-    missing: int
-    missed_first: int
-    """How many are missing before the first one seen."""
-    repeated: int
-    """Messages whose `seq` had been seen before."""
-    gaps: tuple[Gap, ...]
-    """All that is missing, in order."""
+    left_out: int
+    """Missing because of a pause, a filter or a cut; not counted in `missing`, but in `gaps`."""
 
 
 class ChannelInfo(msgspec.Struct, frozen=True, kw_only=True):
@@ -48,9 +37,13 @@ class ChannelInfo(msgspec.Struct, frozen=True, kw_only=True):
     bytes: int
     """Of the messages as they were on the wire."""
     missing: int
+    left_out: int
     headless: int
     """Messages that can't be attributed: no valid header."""
-    streams: tuple[Stream, ...]
+    unreadable: int
+    """Messages that are none of the topic's type, as this version has it; those of unknown topics not among
+    them."""
+    streams: tuple[StreamInfo, ...]
 
 
 class Info(msgspec.Struct, frozen=True, kw_only=True):
@@ -61,8 +54,16 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     """Of the maniple that made it."""
     mode: str
     seed: str
+    parts: tuple[str, ...]
+    """Its files, in order."""
+    passed_over: tuple[str, ...]
+    """What there is to say of parts in which nothing is."""
     complete: bool
-    """Whether the recorder finished the file."""
+    """Whether the recorder finished the file, or all of them."""
+    torn_bytes: int
+    """At the end of an unfinished file, of a message or chunk that was being written."""
+    damage: tuple[str, ...]
+    """What is not as it was written."""
     start_ns: Time
     """Log time of the first message; 0 without any."""
     end_ns: Time
@@ -70,133 +71,167 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     messages: int
     bytes: int
     missing: int
+    """By sequence number and the senders' journals, without what was left out on purpose."""
+    left_out: int
+    absences: tuple[str, ...]
+    """What was left out on purpose."""
+    viewer_channels: int
+    """Channels of what was derived for viewers, beside those of the messages."""
     channels: tuple[ChannelInfo, ...]
     """By topic, sorted."""
     metadata: dict[str, str]
 
 
 def describe(recording: Recording) -> Info:
-    """Read all of a recording and say what it holds.
+    """Read all of a recording and say what it holds. Damage is reported; what is whole is counted.
 
     Raises:
-        RecordingError: the file is damaged.
+        RecordingError: a file can't be read any more.
     """
-    tallies: defaultdict[str, _Channel] = defaultdict(_Channel)
-    for record in recording.messages():
-        tallies[record.topic].add(record)
-    channels = tuple(tallies[name].info(name) for name in sorted(tallies))
-    start = min((tally.start_ns for tally in tallies.values()), default=0)
-    end = max((tally.end_ns for tally in tallies.values()), default=0)
+    damage: list[Damage] = []
+    reading = _Reading(recording)
+    for record in recording.messages(skipped=damage.append):
+        reading.add(record)
+    if not damage:
+        damage += filter(None, map(checksum_of, recording.layouts))
+    channels = reading.channels()
     metadata = recording.metadata
     return Info(
         scenario=metadata.get("scenario", ""),
         version=metadata.get("maniple", ""),
         mode=metadata.get("mode", ""),
         seed=metadata.get("seed", ""),
+        parts=tuple(map(str, recording.paths)),
+        passed_over=recording.passed_over,
         complete=recording.complete,
-        start_ns=start,
-        end_ns=end,
-        duration_s=to_seconds(end - start),
+        torn_bytes=sum(layout.torn for layout in recording.layouts),
+        damage=tuple(map(str, damage)),
+        start_ns=reading.start_ns,
+        end_ns=reading.end_ns,
+        duration_s=to_seconds(reading.end_ns - reading.start_ns),
         messages=sum(channel.messages for channel in channels),
         bytes=sum(channel.bytes for channel in channels),
         missing=sum(channel.missing for channel in channels),
+        left_out=sum(channel.left_out for channel in channels),
+        absences=reading.absences.texts(reading.start_ns),
+        viewer_channels=len(recording.viewer_keys),
         channels=channels,
         metadata=dict(metadata),
     )
 
 
-def missing(parts: Iterable[Recording]) -> int:
-    """How many messages are missing, by their sequence numbers, in the parts of one recording together.
+def missing(recordings: Iterable[Recording]) -> int:
+    """How many messages are missing in recordings, but for those that were left out on purpose.
 
     Raises:
-        RecordingError: a file is damaged.
+        RecordingError: a file can't be read any more.
     """
-    tallies: defaultdict[str, _Channel] = defaultdict(_Channel)
-    for part in parts:
-        for record in part.messages():
-            tallies[record.topic].add(record)
-    return sum(tally.info(name).missing for name, tally in tallies.items())
+    return sum(describe(recording).missing for recording in recordings)
+
+
+class _Reading:
+    """What is counted while reading; messages come in the order of log time."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.start_ns: Time = 0
+        self.end_ns: Time = 0
+        self._recording = recording
+        self._tally = Tally()
+        self._channels: defaultdict[str, _Channel] = defaultdict(_Channel)
+        self._last: dict[tuple[str, str, int], tuple[int, Time]] = {}
+        """The number after the highest of each stream, and when that arrived."""
+        self._left_out: defaultdict[tuple[str, str, int], list[Gap]] = defaultdict(list)
+
+    @cached_property
+    def absences(self) -> Absences:
+        """What the recording leaves out on purpose."""
+        return Absences(self._recording.all_metadata, self.start_ns)
+
+    def add(self, record: Recorded) -> None:
+        """Count a message."""
+        self.end_ns = record.log_time_ns
+        if not self._channels:
+            self.start_ns = record.log_time_ns
+        channel = self._channels[record.topic]
+        channel.add(record)
+        try:
+            header = header_of(record.topic, record.data)
+        except MessageError:
+            channel.headless += 1
+            return
+        self._note((record.topic, header.source, header.incarnation), header.seq, record.log_time_ns)
+        message = record.message
+        if message is None:
+            channel.unreadable += 1
+        elif isinstance(message, Journal):
+            self._tally.told(header.source, header.incarnation, message.sent)
+
+    def channels(self) -> tuple[ChannelInfo, ...]:
+        """All topics of which something is there, or ought to be."""
+        streams: defaultdict[str, list[StreamInfo]] = defaultdict(list)
+        for stream in self._tally.streams():
+            streams[stream.topic].append(self._explained(stream))
+        return tuple(
+            self._channels[name].info(name, tuple(streams[name]))
+            for name in sorted(self._channels.keys() | streams.keys())
+        )
+
+    def _note(self, key: tuple[str, str, int], seq: int, now: Time) -> None:
+        self._tally.note(*key, seq)
+        following, last = self._last.get(key, (0, None))
+        if seq >= following:
+            if seq > following and self.absences.holds(key[0], last, now):
+                self._left_out[key].append(Gap(following, seq - 1))
+            self._last[key] = seq + 1, now
+
+    def _explained(self, stream: Stream) -> StreamInfo:
+        key = stream.topic, stream.source, stream.incarnation
+        spans = self._left_out[key]
+        following, last = self._last.get(key, (0, None))
+        if stream.sent > following and self.absences.holds(stream.topic, last, None):
+            spans.append(Gap(following, stream.sent - 1))
+        left_out = sum(
+            max(0, min(gap.last, span.last) - max(gap.first, span.first) + 1)
+            for gap in stream.gaps
+            for span in spans
+        )
+        return StreamInfo(
+            **{**structs.asdict(stream), "missing": stream.missing - left_out}, left_out=left_out
+        )
 
 
 class _Channel:
     """What is counted of one topic while reading."""
 
     def __init__(self) -> None:
-        self.start_ns: Time = 0
-        self.end_ns: Time = 0
-        self._messages = self._bytes = self._headless = 0
-        self._streams: defaultdict[tuple[str, int], _Stream] = defaultdict(_Stream)
+        self.headless = self.unreadable = 0
+        self._start_ns: Time = 0
+        self._end_ns: Time = 0
+        self._messages = self._bytes = 0
 
     def add(self, record: Recorded) -> None:
-        """Count a message; they come in the order of log time."""
+        """Count a message."""
         if not self._messages:
-            self.start_ns = record.log_time_ns
-        self.end_ns = record.log_time_ns
+            self._start_ns = record.log_time_ns
+        self._end_ns = record.log_time_ns
         self._messages += 1
         self._bytes += len(record.data)
-        try:
-            header = header_of(record.topic, record.data)
-        except MessageError:
-            self._headless += 1
-            return
-        self._streams[header.source, header.incarnation].add(header.seq)
 
-    def info(self, name: str) -> ChannelInfo:
+    def info(self, name: str, streams: tuple[StreamInfo, ...]) -> ChannelInfo:
         """The counts so far."""
-        streams = tuple(stream.info(*key) for key, stream in sorted(self._streams.items()))
-        span = to_seconds(self.end_ns - self.start_ns)
+        span = to_seconds(self._end_ns - self._start_ns)
+        type_name = _type_name(name)
         return ChannelInfo(
             topic=name,
-            type=_type_name(name),
+            type=type_name,
             messages=self._messages,
             rate_hz=(self._messages - 1) / span if span else 0.0,
             bytes=self._bytes,
             missing=sum(stream.missing for stream in streams),
-            headless=self._headless,
+            left_out=sum(stream.left_out for stream in streams),
+            headless=self.headless,
+            unreadable=self.unreadable if type_name else 0,
             streams=streams,
-        )
-
-
-class _Stream:
-    """Which sequence numbers have been seen: all below `_next` but those in the gaps."""
-
-    def __init__(self) -> None:
-        self._next = self._received = self._repeated = 0
-        self._gaps: list[Gap] = []
-
-    def add(self, seq: int) -> None:
-        """Note a sequence number, in whatever order they come."""
-        self._received += 1
-        if seq == self._next:
-            self._next += 1
-        elif seq > self._next:
-            self._gaps.append(Gap(self._next, seq - 1))
-            self._next = seq + 1
-        elif not self._fill(seq):
-            self._repeated += 1
-
-    def _fill(self, seq: int) -> bool:
-        """Take a late number out of its gap; False where it is in none."""
-        for i in range(len(self._gaps) - 1, -1, -1):
-            gap = self._gaps[i]
-            if gap.first <= seq <= gap.last:
-                parts = (Gap(gap.first, seq - 1), Gap(seq + 1, gap.last))
-                self._gaps[i : i + 1] = [part for part in parts if part.first <= part.last]
-                return True
-        return False
-
-    def info(self, source: str, incarnation: int) -> Stream:
-        """The counts so far."""
-        gaps = tuple(self._gaps)
-        return Stream(
-            source=source,
-            incarnation=incarnation,
-            received=self._received,
-            expected=self._next,
-            missing=sum(gap.last - gap.first + 1 for gap in gaps),
-            missed_first=gaps[0].last + 1 if gaps and gaps[0].first == 0 else 0,
-            repeated=self._repeated,
-            gaps=gaps,
         )
 
 

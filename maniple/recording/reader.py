@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, NoReturn, Self, TypeVar
 
 import msgspec
-from mcap.records import Channel
+from mcap.records import Attachment, Channel
 
 from maniple.core import codec, topics
 from maniple.core.errors import ManipleError, MessageError, RecordingError
@@ -26,8 +26,8 @@ from maniple.recording.scan import (
     read_chunk,
     scan,
 )
-from maniple.recording.selection import Selection
-from maniple.recording.writer import METADATA_NAME, SCENARIO_NAME, part
+from maniple.recording.selection import EVERYTHING, Selection
+from maniple.recording.writer import LATCHED_NAME, METADATA_NAME, SCENARIO_NAME, Latched, part
 
 if TYPE_CHECKING:
     from maniple.recording.table import Table
@@ -133,6 +133,27 @@ class Recording:
         keys = {channel.topic for layout in self.layouts for channel in layout.channels.values()}
         return tuple(sorted(name for name in map(self.topic_of, keys) if name))
 
+    @property
+    def attachments(self) -> tuple[Attachment, ...]:
+        """What is attached to its first part, but for what is latched."""
+        files = self.layouts[0].attachments
+        return tuple(file for name, file in files.items() if not name.startswith(LATCHED_NAME))
+
+    @cached_property
+    def latched(self) -> tuple[Latched, ...]:
+        """The last message of each latched topic from before it begins, as far as the recorder knew."""
+        return tuple(
+            Latched(name.removeprefix(LATCHED_NAME), file.data, file.log_time, file.create_time)
+            for name, file in self.layouts[0].attachments.items()
+            if name.startswith(LATCHED_NAME)
+        )
+
+    @cached_property
+    def viewer_keys(self) -> tuple[str, ...]:
+        """The keys of the channels that are only there for viewers, sorted."""
+        keys = {channel.topic for layout in self.layouts for channel in layout.channels.values()}
+        return tuple(sorted(key for key in keys if not self.topic_of(key)))
+
     @cached_property
     def start_ns(self) -> Time:
         """Log time of the first message; 0 without any.
@@ -162,11 +183,18 @@ class Recording:
         Raises:
             RecordingError: it is damaged.
         """
+
+        def choose(channel: Channel) -> tuple[str, type[Recorded]] | None:
+            name = self.topic_of(channel.topic)
+            if not name or not (wanted is None or wanted(name)):
+                return None
+            return name, _Foreign if is_foreign(name, channel) else Recorded
+
         tell = skipped or self._refuse
-        names = [_Names(self, layout, wanted, tell) for layout in self.layouts]
-        for raw in self._in_order(names, start_ns, end_ns, tell):
+        chosen = [_Chosen(layout, choose, tell) for layout in self.layouts]
+        for raw in self._in_order(chosen, start_ns, end_ns, tell):
             log_time, part_index, _, _, channel, sequence, publish_time, data = raw
-            name, kind = names[part_index][channel]
+            name, kind = chosen[part_index][channel]
             yield kind(name, data, log_time, publish_time, sequence)
 
     def selected(self, selection: Selection) -> Iterator[Recorded]:
@@ -176,6 +204,23 @@ class Recording:
             RecordingError: it is damaged.
         """
         return self.messages(selection.takes, selection.start_ns, selection.end_ns)
+
+    def raw(
+        self, wanted: Callable[[str], bool], selection: Selection = EVERYTHING
+    ) -> Iterator[tuple[Layout, RawMessage, str]]:
+        """Messages as they are in the files, each with its part and topic, in the same order: those of
+        `wanted` keys, in the time of a selection. The topic is empty for what was derived for viewers.
+
+        Raises:
+            RecordingError: it is damaged.
+        """
+
+        def choose(channel: Channel) -> tuple[str] | None:
+            return (self.topic_of(channel.topic),) if wanted(channel.topic) else None
+
+        chosen = [_Chosen(layout, choose, self._refuse) for layout in self.layouts]
+        for raw in self._in_order(chosen, selection.start_ns, selection.end_ns, self._refuse):
+            yield self.layouts[raw.part], raw, chosen[raw.part][raw.channel][0]
 
     def decoded(self, kind: type[M]) -> Iterator[tuple[Recorded, M]]:
         """The valid messages of one type, whatever the topic, each with its record, in the same order.
@@ -205,8 +250,7 @@ class Recording:
 
     def topic_of(self, key: str) -> str:
         """The topic of a key on the network; empty for one that is only there for viewers."""
-        prefix = f"{self.prefix}/"
-        return key.removeprefix(prefix) if key.startswith(prefix) else ""
+        return topic_under(self.prefix, key)
 
     def _refuse(self, damage: Damage) -> NoReturn:
         raise RecordingError(f"{damage}; `maniple log recover {damage.path}` saves the rest")
@@ -267,39 +311,27 @@ class _Files:
             self._open.close()
 
 
-class _Names(dict[int, Any]):
-    """The topic of each channel of a part, and what its records are; None where it is not wanted, or only
-    there for viewers."""
+class _Chosen(dict[int, Any]):
+    """By channel of a part, what `choose` makes of it; None for those that are not chosen."""
 
     def __init__(
-        self,
-        recording: Recording,
-        layout: Layout,
-        wanted: Callable[[str], bool] | None,
-        skipped: Callable[[Damage], None],
+        self, layout: Layout, choose: Callable[[Channel], object], skipped: Callable[[Damage], None]
     ) -> None:
         super().__init__()
-        self._recording, self._layout, self._wanted, self._skipped = recording, layout, wanted, skipped
+        self._layout, self._choose, self._skipped = layout, choose, skipped
 
-    def __missing__(self, id: int) -> tuple[str, type[Recorded]] | None:
-        """Which it is.
+    def __missing__(self, id: int) -> object:
+        """What that is.
 
         Raises:
             RecordingError: there is no such channel, and what can't be read is an error.
         """
-        self[id] = found = self._find(id)
-        return found
-
-    def _find(self, id: int) -> tuple[str, type[Recorded]] | None:
         channel = self._layout.channels.get(id)
         if channel is None:
             what = f"messages are of channel {id}, which is not in the file"
             self._skipped(Damage(self._layout.path, 0, 0, what))
-            return None
-        name = self._recording.topic_of(channel.topic)
-        if not name or not (self._wanted is None or self._wanted(name)):
-            return None
-        return name, _Foreign if is_foreign(name, channel) else Recorded
+        self[id] = found = None if channel is None else self._choose(channel)
+        return found
 
 
 def read(path: str | Path) -> Recording:
@@ -360,6 +392,11 @@ def _continues(first: Layout, later: Layout, number: int) -> bool:
     if was.get("anchor") != now.get("anchor"):
         return False
     return now["part"] == str(number) if "part" in now else now.get("mode") == "realtime"
+
+
+def topic_under(prefix: str, key: str) -> str:
+    """The topic of a key on a network with this prefix; empty for another network's."""
+    return key.removeprefix(f"{prefix}/") if key.startswith(f"{prefix}/") else ""
 
 
 def damage_of(path: Path, place: ChunkPlace, error: Exception) -> Damage:

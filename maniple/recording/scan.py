@@ -120,6 +120,8 @@ class Layout:
         """Whether it ends as a finished file does."""
         self.size = 0
         """Bytes of the file."""
+        self.data_end = 0
+        """Where the summary begins; 0 without one."""
         self.torn = 0
         """Bytes at the end of an unfinished file that are no whole record."""
         self.damage: list[Damage] = []
@@ -158,6 +160,28 @@ def scan(path: Path, part: int = 0, lenient: bool = False) -> Layout:
     return layout
 
 
+def checksum_of(layout: Layout) -> Damage | None:
+    """What is wrong with a finished file as a whole, by the checksum over all before its summary; this reads
+    all of it.
+
+    Raises:
+        RecordingError: it can't be read any more.
+    """
+    if not layout.data_end:
+        return None
+    crc = 0
+    with open_file(layout.path) as file:
+        left = layout.data_end - _HEAD.size - 4
+        while left and (block := file.read(min(left, _WINDOW))):
+            crc = zlib.crc32(block, crc)
+            left -= len(block)
+        file.seek(layout.data_end - 4)
+        told = int.from_bytes(file.read(4), "little")
+    if told in (0, crc):
+        return None
+    return Damage(layout.path, 0, 0, "it does not match the checksum of the whole; all chunks match theirs")
+
+
 def open_file(path: Path) -> BinaryIO:
     """The file, opened for reading.
 
@@ -175,9 +199,11 @@ def read_chunk(
     place: ChunkPlace,
     channels: dict[int, Channel],
     wanted: Mapping[int, object] | None = None,
+    times: bool = True,
 ) -> list[RawMessage]:
     """The messages of a chunk as they are in the file, of the channels of which `wanted` is true; channels
-    found in it are added to `channels` before they are asked for.
+    found in it are added to `channels` before they are asked for. With `times`, those that the chunk claims
+    are checked too.
 
     Raises:
         Exception: one of `DAMAGE`.
@@ -209,7 +235,7 @@ def read_chunk(
                 )
         elif opcode == Opcode.CHANNEL:
             _add_channel(channels, data[start:position])
-    if last and (first, last) != (chunk.message_start_time, chunk.message_end_time):
+    if times and last and (first, last) != (chunk.message_start_time, chunk.message_end_time):
         raise ValueError("its times are not those of its messages")
     return messages
 
@@ -248,6 +274,9 @@ def _records(layout: Layout, file: BinaryIO, lenient: bool) -> Iterator[tuple[in
                     "maniple writes"
                 )
             found = None
+        if found is None and (found := _salvaged(file, position, size)):
+            what = f"the length of the chunk at byte {position + _HEAD.size} is wrong"
+            layout.damage.append(Damage(layout.path, position, _HEAD.size, what))
         if found is None:
             resumed = _resume(file, position + 1, size)
             finished = _ends_finished(file, size)
@@ -264,6 +293,7 @@ def _records(layout: Layout, file: BinaryIO, lenient: bool) -> Iterator[tuple[in
         yield opcode, position, length
         position += length
         if opcode == Opcode.DATA_END:
+            layout.data_end = position
             _note_summary(layout, file, position)
             return
 
@@ -275,26 +305,43 @@ def _record_at(file: BinaryIO, position: int, size: int) -> tuple[int, int] | No
     if len(head) < _HEAD.size:
         return None
     opcode, length = _HEAD.unpack(head)
-    shape = _SHAPES.get(opcode)
     start = position + _HEAD.size
+    shape = _SHAPES.get(opcode)
     if shape is None or start + length > size:
         return None
+    inner = _inner_length(file, start, shape, length)
+    if inner is None or (inner != length and opcode != Opcode.MESSAGE):
+        return None
+    return opcode, length
+
+
+def _inner_length(file: BinaryIO, start: int, shape: _Shape, most: int) -> int | None:
+    """How long the content at a place is by the lengths within it; None where that is more than `most`."""
     at = 0
     for width, fixed in shape:
         if width:
-            if at:
-                file.seek(start + at)
+            file.seek(start + at)
             number = file.read(width)
             if len(number) < width:
                 return None
             at += width + int.from_bytes(number, "little")
         else:
             at += fixed
-        if at > length:
+        if at > most:
             return None
-    if at != length and opcode != Opcode.MESSAGE:
+    return at
+
+
+def _salvaged(file: BinaryIO, position: int, size: int) -> tuple[int, int] | None:
+    """Opcode and length of the chunk at a place of which everything fits but the length of its record."""
+    file.seek(position)
+    start = position + _HEAD.size
+    if file.read(1) != bytes([Opcode.CHUNK]):
         return None
-    return opcode, length
+    length = _inner_length(file, start, _SHAPES[Opcode.CHUNK], size - start)
+    if length is None or not _is_whole(file, ChunkPlace(0, 0, start, length, 0)):
+        return None
+    return Opcode.CHUNK, length
 
 
 def _channel_of(file: BinaryIO, position: int) -> int:
@@ -416,7 +463,7 @@ def _add_channel(channels: dict[int, Channel], content: bytes) -> None:
 def _is_whole(file: BinaryIO, place: ChunkPlace) -> bool:
     """Whether a chunk can be read; the last one before a power failure may be there in length only."""
     try:
-        read_chunk(file, place, {})
+        read_chunk(file, place, {}, times=False)
     except DAMAGE:
         return False
     return True

@@ -45,6 +45,9 @@ class Selection(msgspec.Struct, frozen=True):
         return self.end_ns is None or log_time_ns < self.end_ns
 
 
+EVERYTHING = Selection()
+
+
 def matches(pattern: str, topic: str) -> bool:
     """Whether a topic is one of those that a pattern stands for.
 

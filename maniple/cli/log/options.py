@@ -40,19 +40,21 @@ def selection_of(
     until_s: float | None = None,
     topics: Sequence[str] | None = None,
     without: Sequence[str] | None = None,
+    others: Sequence[str] = (),
 ) -> Selection:
-    """What these options select.
+    """What these options select of the topics of a recording, and of `others`.
 
     Raises:
         ArgumentError: a pattern is not valid or matches no topic of the recording, or a time is not in it.
         RecordingError: the recording is damaged.
     """
     chosen = Selection(topics=tuple(topics or ()), without=tuple(without or ()))
+    known = (*recording.topics, *others)
     for pattern in (*chosen.topics, *chosen.without):
-        if not any(matches(pattern, topic) for topic in recording.topics):
-            there = ", ".join(recording.topics) or "none"
+        if not any(matches(pattern, topic) for topic in known):
+            there = ", ".join(known) or "none"
             raise ArgumentError(f"no topic of {recording.path} matches {pattern!r}; there are {there}")
-    if not any(map(chosen.takes, recording.topics)):
+    if known and not any(map(chosen.takes, known)):
         raise ArgumentError(f"--topic and --without together leave nothing of {recording.path}")
     if start_s is None and until_s is None:
         return chosen

@@ -6,6 +6,7 @@ from typer.testing import CliRunner
 
 from maniple.cli.log.group import app
 from maniple.core.errors import RecordingError
+from maniple.recording.reader import read
 from tests.recording.traffic import Sent, drive, record, traffic
 
 
@@ -36,6 +37,20 @@ def test_info_for_people(tmp_path: Path) -> None:
         "8 of 14 missing, 1 repeated"
     ) in result.stdout
     assert "hw/r1/scan: 1 messages without a valid header" in result.stdout
+    assert "missed the last" not in result.stdout
+
+
+def test_info_of_a_damaged_file_tells_what_and_ends_with_1(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", traffic(41))
+    place = read(path).layouts[0].chunks[1]
+    content = bytearray(path.read_bytes())
+    content[place.offset + place.length - 9] ^= 1
+    path.write_bytes(content)
+    result = CliRunner().invoke(app, ["info", str(path)])
+    assert result.exit_code == 1
+    assert f"damaged: {path}: the chunk at byte {place.offset} is damaged" in result.stdout
+    assert f"maniple log recover {path}" in result.stdout
+    assert json.loads(CliRunner().invoke(app, ["info", str(path), "--json"]).stdout)["damage"]
 
 
 def test_info_of_an_unfinished_file(tmp_path: Path) -> None:
