@@ -2,11 +2,14 @@
 
 import typer
 
+from maniple.cli.log.cut import cut
 from maniple.cli.log.diff import diff
 from maniple.cli.log.export import export
 from maniple.cli.log.info import info
+from maniple.cli.log.merge import merge
 from maniple.cli.log.play import play, player
 from maniple.cli.log.rerun import rerun
+from maniple.cli.log.recover import recover
 from maniple.cli.log.verify import verify
 
 app = typer.Typer(help="Work with recordings.", no_args_is_help=True)
@@ -18,6 +21,9 @@ def _group() -> None:
 
 
 app.command()(info)
+app.command()(recover)
+app.command()(cut)
+app.command()(merge)
 app.command()(verify)
 app.command()(diff)
 app.command()(export)
