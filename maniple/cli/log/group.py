@@ -8,8 +8,8 @@ from maniple.cli.log.export import export
 from maniple.cli.log.info import info
 from maniple.cli.log.merge import merge
 from maniple.cli.log.play import play, player
-from maniple.cli.log.rerun import rerun
 from maniple.cli.log.recover import recover
+from maniple.cli.log.rerun import rerun
 from maniple.cli.log.verify import verify
 
 app = typer.Typer(help="Work with recordings.", no_args_is_help=True)
