@@ -26,6 +26,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.duration_pb2 import Duration as ProtoDuration
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from maniple.core.errors import ManipleError
 from maniple.core.palette import rgb
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import SECOND, Time
@@ -63,6 +64,8 @@ def export_rerun(
         stream = rr.RecordingStream(
             recording.scenario.name, recording_id=uuid5(NAMESPACE_URL, identity), send_properties=False
         )
+        if not rr.is_enabled(stream):
+            raise ManipleError("Rerun is turned off by the environment variable RERUN; unset it")
         stream.set_log_time_enabled(False)  # the wall clock of the export
         stream.set_log_tick_enabled(False)
         stream.save(new, default_blueprint=layout(recording.scenario))
@@ -73,6 +76,10 @@ def export_rerun(
             if number % _BATCH == 0:
                 sketch.send()
         sketch.send()
+        try:
+            stream.flush()
+        except RuntimeError as error:  # what went wrong it has said on its own
+            raise ManipleError(f"{out}: can't write the export: {error}") from None
         stream.disconnect()
     return pictures.exported(out, "rerun")
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 
-from maniple.core.errors import ArgumentError
+from maniple.core.errors import ArgumentError, ManipleError
 from maniple.core.time import SECOND
 from maniple.recording.export_foxglove import export_foxglove
 from maniple.recording.reader import read
@@ -16,6 +16,7 @@ from tests.recording.viz.pictures import drawn, recorded
 
 pytest.importorskip("rerun", reason="needs the extra rerun (170 MB), part of the extra dev")
 
+import rerun as rr
 from rerun.chunk import Chunk, LazyChunkStream, McapReader, RrdReader
 
 from maniple.recording.export_rerun import TIMELINE, export_rerun
@@ -110,6 +111,25 @@ def test_nothing_is_overwritten_unless_asked(tmp_path: Path) -> None:
     export_rerun(read(recorded()), out, force=True)
     assert out.read_bytes().startswith(b"RRF")
     assert [path.name for path in tmp_path.iterdir()] == ["a.rrd"]
+
+
+def test_rerun_that_is_turned_off_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RERUN", "off")
+    with pytest.raises(ManipleError, match="environment variable RERUN"):
+        export_rerun(read(recorded()), tmp_path / "a.rrd")
+    assert not [*tmp_path.iterdir()]
+
+
+def test_what_rerun_could_not_write_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a full disk it goes on, and says so only if asked."""
+
+    def fail(_: rr.RecordingStream) -> None:
+        raise RuntimeError("File-writer thread shut down prematurely")
+
+    monkeypatch.setattr(rr.RecordingStream, "flush", fail)
+    with pytest.raises(ManipleError, match="can't write the export: File-writer"):
+        export_rerun(read(recorded()), tmp_path / "a.rrd")
+    assert not [*tmp_path.iterdir()]
 
 
 def test_rerun_draws_an_mcap_file_as_it_is(tmp_path: Path) -> None:
