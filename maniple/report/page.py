@@ -52,8 +52,16 @@ class Picture(NamedTuple):
     """PNG and SVG; the page holds the SVG itself."""
 
 
-def page(series: Series, info: Info, source: str, pictures: Sequence[Picture], missing: Iterable[str]) -> str:
-    """The whole HTML document; `source` is the name of the recording."""
+def page(
+    series: Series,
+    info: Info,
+    source: str,
+    pictures: Sequence[Picture],
+    missing: Iterable[str],
+    warnings: Iterable[str],
+) -> str:
+    """The whole HTML document; `source` is the name of the recording, `missing` is said of figures that are
+    not there, `warnings` before anything else."""
     scenario = series.scenario
     title = f"{scenario.name}: report"
     n = len(scenario.robots)
@@ -64,7 +72,7 @@ def page(series: Series, info: Info, source: str, pictures: Sequence[Picture], m
         f'<p class="soft">{chained}. {escape(source)}: {escape(info.mode or "unknown")} time, '
         f"seed {escape(info.seed)}, maniple {escape(info.version)}.</p>",
         f'<p class="outcome"><b>{escape(outcome(series))}</b></p>',
-        *(f'<p class="warn">{escape(line)}</p>' for line in notes(series, info)),
+        *(f'<p class="warn">{escape(line)}</p>' for line in warnings),
         "<h2>Figures of merit</h2>",
         _merit(series),
         f"<p>{escape(explained(series))}</p>",

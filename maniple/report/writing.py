@@ -18,6 +18,9 @@ class Report(msgspec.Struct, frozen=True):
     """What was written, and what it says."""
 
     recording: str
+    """Its first part."""
+    parts: list[str]
+    """All of them."""
     page: str
     """Path of the HTML page."""
     pictures: list[str]
@@ -52,6 +55,7 @@ def write(recording: Path, folder: Path | None = None, force: bool = False) -> R
     _require_free(out, force)
     info = describe(opened)
     series = series_of(opened)
+    warnings = [*notes(series, info), *opened.passed_over]
     pictures, missing = [], []
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -63,16 +67,18 @@ def write(recording: Path, folder: Path | None = None, force: bool = False) -> R
             else:
                 pictures.append(Picture(kind.title, kind.caption, figures.write(figure, out / kind.name)))
         target = out / PAGE
-        target.write_text(page(series, info, recording.name, pictures, missing), encoding="utf-8")
+        source = ", ".join(path.name for path in opened.paths)
+        target.write_text(page(series, info, source, pictures, missing, warnings), encoding="utf-8")
     except OSError as error:
         raise ManipleError(f"{out}: can't write the report: {error.strerror or error}") from None
     return Report(
         recording=str(recording),
+        parts=[str(path) for path in opened.paths],
         page=str(target),
         pictures=[str(path) for picture in pictures for path in picture.files],
         scenario=series.scenario.name,
         outcome=outcome(series),
-        notes=[*notes(series, info), *missing],
+        notes=[*warnings, *missing],
         figures=series.figures,
     )
 

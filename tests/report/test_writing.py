@@ -10,6 +10,8 @@ import matplotlib.image
 import pytest
 
 from maniple.core.errors import ArgumentError, ManipleError, MissingExtraError, RecordingError
+from maniple.recording.reader import read
+from maniple.recording.writer import RecordingWriter, part
 from maniple.report.figures import KINDS
 from maniple.report.writing import PAGE, Report, write
 from tests.report.recordings import filtered, recorded
@@ -23,6 +25,28 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def written(log: Path) -> Report:
     return write(log)
+
+
+@pytest.mark.slow
+def test_a_recording_in_parts_is_reported_as_one(log: Path, written: Report, tmp_path: Path) -> None:
+    """Figures, page and pictures are those of the recording in one file."""
+    recording = read(log)
+    middle = recording.start_ns + (recording.end_ns - recording.start_ns) // 2
+    whole = {name: value for name, value in recording.metadata.items() if name != "prefix"}
+    for number in (1, 2):
+        path = part(tmp_path / "short.mcap", number)
+        metadata = {**whole, "part": str(number)}
+        with RecordingWriter(path, recording.scenario_json, metadata, prefix=recording.prefix) as writer:
+            for record in recording.messages():
+                if (record.log_time_ns < middle) is (number == 1):
+                    writer.write(*record[:5])
+    report = write(tmp_path / "short.mcap")
+    assert report.parts == [str(tmp_path / "short.mcap"), str(tmp_path / "short-2.mcap")]
+    assert report.figures == written.figures
+    assert report.notes == written.notes
+    assert Path(report.page).read_text() == Path(written.page).read_text().replace(
+        "short.mcap", "short.mcap, short-2.mcap"
+    )
 
 
 class Page(HTMLParser):
