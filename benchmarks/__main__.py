@@ -18,6 +18,7 @@ NAMES = (
     "range_kernel",
     "formation_tick",
     "recorder",
+    "play",
     "viewer",
     "round_trip",
     "agent_footprint",

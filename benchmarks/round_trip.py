@@ -52,15 +52,21 @@ def _row(name: str, share: float, ours: list[float], bare: list[float], budget: 
 def router() -> Iterator[str]:
     """A router of `maniple` of our own, in a process; its endpoint. Never the usual port: that may be
     somebody's."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
     command = [sys.executable, "-m", "maniple", "router", "--listen", endpoint, "--prefix", PREFIX]
     with process(command) as running:
         assert running.stdout is not None
         if not running.stdout.readline():
             raise RuntimeError(f"the router can't listen on {endpoint}")
         yield endpoint
+
+
+def free_port() -> int:
+    """A TCP port of this machine that nobody uses now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
 
 
 def _turn(kind: str, endpoint: str, incarnation: int, count: int) -> list[float]:
