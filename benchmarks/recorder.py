@@ -12,6 +12,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from benchmarks.common import Budget, Row, best_of, cpu_s, show
+from benchmarks.recorder_platoon import measure
 from maniple.core import codec, messages, topics
 from maniple.core.time import MILLISECOND, SECOND, VIRTUAL_EPOCH
 from maniple.recording.reader import Recorded
@@ -19,6 +20,7 @@ from maniple.recording.writer import CHUNK_PERIOD, Compression, RecordingWriter,
 
 TITLE = "Recorder, messages per CPU second"
 BUDGET = Budget(0.9, "ratio", "at least")
+LOST = Budget(0, "ours")
 
 ROBOTS = tuple(f"r{i}" for i in range(1, 7))
 SECONDS, QUICK_SECONDS = 20, 2
@@ -31,11 +33,31 @@ Said: TypeAlias = tuple[str, str, messages.Message]
 
 
 def rows(quick: bool = False) -> list[Row]:
-    """One row for each compression."""
+    """One row for each compression; and the process, over Zenoh, with channels for viewers and without."""
     traffic = [
         message for second in range(QUICK_SECONDS if quick else SECONDS) for message in _second(second)
     ]
-    return [_row(traffic, compression, rounds=1 if quick else 5) for compression in ("zstd", "none")]
+    made = [_row(traffic, compression, rounds=1 if quick else 5) for compression in ("zstd", "none")]
+    for viz in (False, True):
+        made += _platoon_rows(viz, quick)
+    return made
+
+
+def _platoon_rows(viz: bool, quick: bool) -> list[Row]:
+    """What thirty robots and a burst of ten times as much cost, and what of it is lost."""
+    load = measure(viz, quick)
+    with tempfile.TemporaryDirectory() as folder:
+        bare = partial(_record_bare, Path(folder) / "bare.mcap", load.messages, "zstd")
+        reference = cpu_s(bare)
+    name = "30 robots, 10x burst" + (", viz" if viz else "")
+    count = len(load.messages)
+    return [
+        Row(f"{name}: lost", load.lost, f"of {load.sent}", "nothing lost", None, LOST),
+        Row(
+            f"{name}: CPU", 1e6 * load.cpu_s / count, "us each", "bare, from memory", 1e6 * reference / count
+        ),
+        Row(f"{name}: memory", load.most_mb, "MB", "none: its process"),
+    ]
 
 
 def _row(traffic: list[Recorded], compression: Compression, rounds: int) -> Row:

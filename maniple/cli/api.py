@@ -14,12 +14,15 @@ from maniple.cli.machine import describe_machine
 from maniple.cli.outcome import Outcome, recordings_of
 from maniple.cli.progress import Progress
 from maniple.cli.realtime import run_realtime
+from maniple.cli.recording_options import EVERYTHING, RecordingOptions, notices
 from maniple.cli.virtual import run_virtual
 from maniple.core.errors import ArgumentError, RecordingError, ScenarioError
 from maniple.core.scenario.types import Scenario
 from maniple.host.clock import FASTEST, SLOWEST
-from maniple.recording.info import missing
-from maniple.report.summary import Errors, MessageCounts, Percentiles
+from maniple.host.recorder import keys_of
+from maniple.host.recorder_space import Space
+from maniple.recording.info import describe
+from maniple.report.summary import Errors, MessageCounts, Percentiles, Summary
 
 
 class Result(msgspec.Struct, frozen=True):
@@ -79,6 +82,7 @@ def run(
     overrides: Sequence[str] = (),
     log: Path | str | None = None,
     keep_alive: bool = False,
+    recording: RecordingOptions = EVERYTHING,
     on_progress: Callable[[Progress], None] = lambda _: None,
     on_notice: Callable[[str], None] = lambda _: None,
 ) -> Result:
@@ -87,8 +91,9 @@ def run(
     `scenario` is a file or a `Scenario`; `overrides` are as `--set` takes them ("controller.kappa=0.3").
     With `virtual` all nodes run in this process in virtual time, else each in a process of its own over
     Zenoh at `speed` times the wall clock. An existing `log` is not overwritten; by default a new file in
-    `logs/`. With `keep_alive` every process but the simulator that dies is started again. `on_notice` gets a
-    line for each process that dies, freezes or comes back, and for what can't happen in virtual time.
+    `logs/`. `recording` says how it is recorded. With `keep_alive` every process but the simulator that dies
+    is started again. `on_notice` gets a line for each process that dies, freezes or comes back, for what the
+    recorder says, and for what can't happen in virtual time.
 
     Raises:
         ArgumentError: speed or duration is not valid, or there are no processes to keep alive.
@@ -100,15 +105,23 @@ def run(
     given = None if log is None else _given_path(Path(log))
     resolved = _resolved(scenario, overrides, seed)
     require_layers(resolved)
+    _require_recordable(resolved, virtual, recording)
+    for notice in notices(recording, resolved):
+        on_notice(notice)
     path = given or _new_path(f"{resolved.name}-{'virtual-' if virtual else ''}")
+    Space(path.parent, recording.min_free_bytes).require()
     begin = time.perf_counter()
     unrecorded = 0
     if virtual:
         metadata = describe_machine(resolved, "virtual")
-        outcome = run_virtual(resolved, path, metadata, duration_s, on_progress, on_notice)
+        outcome = run_virtual(
+            resolved, path, metadata, duration_s, on_progress, on_notice, recording=recording
+        )
     else:
-        outcome = run_realtime(resolved, path, speed, duration_s, on_progress, on_notice, keep_alive)
-        unrecorded = missing(recordings_of(outcome.logs))
+        outcome = run_realtime(
+            resolved, path, speed, duration_s, on_progress, on_notice, keep_alive, recording
+        )
+        unrecorded = sum(describe(one).missing for one in recordings_of(outcome.logs))
     wall_s = time.perf_counter() - begin
     return _result(resolved, "virtual" if virtual else "realtime", outcome, path, wall_s, unrecorded)
 
@@ -124,6 +137,20 @@ def _require_valid(virtual: bool, speed: float, duration_s: float | None, keep_a
         raise ArgumentError("keep alive: there are no processes in virtual time; the scenario says who dies")
     if duration_s is not None and not 0 < duration_s < 1e9:
         raise ArgumentError(f"duration = {duration_s:g} s: must be above 0 and less than 1e9")
+
+
+def _require_recordable(scenario: Scenario, virtual: bool, recording: RecordingOptions) -> None:
+    """See that there will be what the figures of the run are made of, and that nobody is to draw in vain."""
+    if virtual:
+        if recording.viz:
+            raise ArgumentError("viewer channels are not for virtual time: maniple log export makes them")
+        return
+    wants, takes = Summary(scenario).wants, recording.selection.takes
+    if lacking := sorted(key for key in keys_of(scenario) if wants(key) and not takes(key)):
+        raise ArgumentError(
+            f"{', '.join(lacking[:3])}{' ...' if lacking[3:] else ''} must be recorded: "
+            "the figures of a run in realtime are made from that"
+        )
 
 
 def _resolved(scenario: Scenario | Path | str, overrides: Sequence[str], seed: int | None) -> Scenario:

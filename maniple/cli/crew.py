@@ -2,6 +2,8 @@
 
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
+from itertools import count
 from pathlib import Path
 
 from maniple.cli.processes import LIFE, Child, Process, finish_all
@@ -12,8 +14,9 @@ from maniple.core.scenario.parse import to_json
 from maniple.core.scenario.types import Scenario
 from maniple.host.clock import Anchor
 from maniple.host.liveness import Life
-from maniple.recording.writer import part
+from maniple.recording.writer import part, parts_of
 
+RECORDER = "recorder"
 LEAST = 3
 """Robots that make a formation."""
 LOOK_S = 0.25
@@ -39,14 +42,19 @@ class Crew:
         self._guests: dict[str, int] = {}
         self._frozen: frozenset[str] = frozenset()
         self._look_at = 0.0
-        self.logs = [log]
-        """The parts of the recording."""
+        self._log = log
+        self._others = frozenset(parts_of(log))
         self.restarts: dict[str, int] = {}
         """How often each process was started again."""
 
     def __contains__(self, name: str) -> bool:
         """Whether a process was ever started."""
         return name in self._children
+
+    @property
+    def logs(self) -> list[Path]:
+        """The parts of the recording that are there."""
+        return [path for path in parts_of(self._log) if path not in self._others]
 
     def spawn(self, process: Process, life: int = LIFE) -> Child:
         """Start a process, as a life of its node.
@@ -109,9 +117,9 @@ class Crew:
             self._children[name].finish(0.0)
             life, process = self._upkeep.next_life(name), self._processes[name]
             about = f" (incarnation {life})" if "--incarnation" in process.arguments else ""
-            if name == "recorder":
-                process = process.having("--log", str(self._next_log()))
-                about = f": {self.logs[-1]}"
+            if name == RECORDER:
+                process = process.also("--next")
+                about = f": {self._next_log()}"
             self.spawn(process.having("--incarnation", str(life)), life)
             self.restarts[name] = self.restarts.get(name, 0) + 1
             self._notice(f"{name} is started again{about}")
@@ -128,6 +136,12 @@ class Crew:
             if self._children[name].alive:
                 self._notice(f"{name} (process {self._children[name].pid}) goes on")
         self._frozen = frozen
+
+    def pass_on(self) -> None:
+        """Say what the recorder says."""
+        if (recorder := self._children.get(RECORDER)) is not None:
+            for line in recorder.news():
+                self._notice(f"{RECORDER}: {line}")
 
     def troubles(self) -> Mapping[str, str]:
         """Who is "dead" or "frozen" now."""
@@ -159,12 +173,8 @@ class Crew:
         self._notice(what)
 
     def _next_log(self) -> Path:
-        """A new file for the next part of the recording."""
-        number = len(self.logs) + 1
-        while (path := part(self.logs[0], number)).exists():
-            number += 1
-        self.logs.append(path)
-        return path
+        """Where the next part of the recording goes."""
+        return next(path for path in map(partial(part, self._log), count(1)) if not path.exists())
 
     def _now(self) -> Moment:
         return Moment(time.monotonic(), self._clock.now())

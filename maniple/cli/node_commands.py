@@ -11,21 +11,16 @@ import threading
 import time
 from argparse import ArgumentParser, ArgumentTypeError
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from maniple.cli.interrupt import on_interrupt
-from maniple.core.errors import ArgumentError, RecordingError, ScenarioError
+from maniple.core.errors import ArgumentError, ScenarioError
 from maniple.core.scenario.parse import parameters_of
 from maniple.core.scenario.types import Links, Scenario
-from maniple.core.time import Time
 from maniple.host.clock import Anchor
 from maniple.host.ending import end_when_asked
 from maniple.transport.zenoh import DEFAULT_PORT, ZenohSession
-
-if TYPE_CHECKING:
-    from maniple.recording.writer import RecordingWriter
 
 CUT_OFF_S = 1.5
 """How much longer than its lease a life is waited for that may be over, wall time."""
@@ -123,6 +118,7 @@ def _add_options(name: str, command: ArgumentParser) -> None:
         command.add_argument(
             "--next", action="store_true", help="where it exists, go on in LOG-2.mcap, LOG-3.mcap, ..."
         )
+        _add_recorder_options(command)
     elif name == "finish":
         command.add_argument(
             "--duration", type=_seconds, help="of the run at most, in scenario time; by default from the task"
@@ -131,6 +127,43 @@ def _add_options(name: str, command: ArgumentParser) -> None:
         command.add_argument(
             "--incarnation", type=_life, help="which life this is, from 1; by default the router tells"
         )
+
+
+def _add_recorder_options(command: ArgumentParser) -> None:
+    command.epilog = (
+        "Exit status: 0 when it was asked to end, also by SIGINT and SIGTERM; 1 when it had to end before, "
+        "as with a full disk (what was recorded can be read); 2 bad input."
+    )
+    add = command.add_argument
+    add(
+        "--split-size",
+        metavar="SIZE",
+        help="begin LOG-2.mcap, ... when a part has so many bytes: 500MB, 2GiB",
+    )
+    add("--split-time", type=_seconds, metavar="SECONDS", help="the same after so much time of the run")
+    add("--compression", choices=("zstd", "none"), default="zstd", help="of the file (default: %(default)s)")
+    add(
+        "--topic",
+        action="append",
+        default=[],
+        metavar="PATTERN",
+        help="record these topics only; * is one level, ** any number; again for more",
+    )
+    add("--without", action="append", default=[], metavar="PATTERN", help="do not record these topics")
+    add(
+        "--min-free",
+        metavar="SIZE",
+        help="end in order before less than this is free on the disk (default: 200MB)",
+    )
+    add("--no-viz", action="store_true", help="leave out the channels for viewers")
+    add(
+        "--keep-last",
+        type=_seconds,
+        metavar="SECONDS",
+        help="only remember this much, of the time of the run, until maniple log keep has it written to "
+        "LOG-kept-1.mcap, LOG-kept-2.mcap, ...",
+    )
+    add("--keep-on-exit", action="store_true", help="with --keep-last: write it also at the end")
 
 
 def _life(text: str) -> int:
@@ -200,50 +233,51 @@ def _recorder(
     hardware: str | None,
     anchor: str | None,
     wait: float,
+    keep_last: float | None,
+    keep_on_exit: bool,
+    **choices: Any,
 ) -> None:
-    from maniple.cli.machine import describe_machine
-    from maniple.core.scenario.parse import to_json
-    from maniple.host.fate import wait_out
+    from maniple.cli.recorder_parts import drawing_of, require_free_name, writer_of
+    from maniple.cli.recording_options import notices, options_of
+    from maniple.host.fate import say, wait_out
     from maniple.host.joining import await_router, clock_of, plan_kept
     from maniple.host.recorder import RECORDER, RecorderHost
-    from maniple.recording.writer import RecordingWriter
+    from maniple.host.recorder_space import Space
 
+    options = options_of(**choices)
+    if keep_last is None:
+        if keep_on_exit:
+            raise ArgumentError("--keep-on-exit goes with --keep-last: without that, everything is kept")
+        require_free_name(log, next)
+    elif options.split_bytes or options.split_s:
+        raise ArgumentError("--keep-last writes no parts: leave out --split-size and --split-time")
     resolved, watch = _scenario(scenario)
     told = _clock(anchor)
-
-    def write(path: Path, now: Time) -> RecordingWriter:
-        about = describe_machine(resolved, "realtime")
-        return RecordingWriter(path, to_json(resolved), about, prefix=resolved.network.prefix, now=now)
-
-    if log.exists() and not next:
-        raise RecordingError(f"{log} exists already; a recording is never overwritten")
+    space = Space(log.parent, options.min_free_bytes)
+    space.require()
+    for notice in notices(options, resolved):
+        say(notice)
     with _networks(resolved, connect, hardware, wait) as (fleet, wired):
         await_router(fleet)
         clock = told or clock_of(fleet)
         if not wait_out(RECORDER, (RECORDER,), lambda: plan_kept(fleet), clock):
             return
-        with _first_free(log, next, lambda path: write(path, clock.now())) as writer:
-            sessions = [fleet] if wired is fleet else [fleet, wired]
-            host = RecorderHost(writer, clock, sessions, resolved)
+        with contextlib.closing(writer_of(resolved, log, next, clock, options, keep_last)) as writer:
+            host = RecorderHost(
+                writer,
+                clock,
+                [fleet] if wired is fleet else [fleet, wired],
+                resolved,
+                takes=options.selection.takes,
+                drawing=drawing_of(resolved, writer, options),
+                space=space,
+                keep_on_exit=keep_on_exit,
+            )
             if watch is _nobody:
                 end_when_asked(fleet, RECORDER, host.stop)
             with on_interrupt(host.stop):
                 watch(host.stop)
                 host.run()
-
-
-def _first_free(log: Path, next: bool, write: Callable[[Path], "RecordingWriter"]) -> "RecordingWriter":
-    """A recording in `log` or, where that may be, in the `next` part of it that does not exist."""
-    from maniple.recording.writer import part
-
-    for number in count(1):
-        path = part(log, number)
-        try:
-            return write(path)
-        except RecordingError:
-            if not (next and path.exists()):
-                raise
-    raise AssertionError
 
 
 def _router(scenario: str | None, listen: str, prefix: str, anchor: str | None) -> None:

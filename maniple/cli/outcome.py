@@ -46,6 +46,8 @@ def recordings_of(logs: Sequence[Path]) -> list[Recording]:
     opened: list[Recording] = []
     problem: RecordingError | None = None
     for log in logs:
+        if any(log in recording.paths for recording in opened):
+            continue
         try:
             opened.append(read(log))
         except RecordingError as error:

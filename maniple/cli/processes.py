@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -36,9 +36,16 @@ class Process(NamedTuple):
         place = self.arguments.index(option) + 1
         return self._replace(arguments=(*self.arguments[:place], value, *self.arguments[place + 1 :]))
 
+    def also(self, flag: str) -> "Process":
+        """The same with a flag that it may have already."""
+        return self if flag in self.arguments else self._replace(arguments=(*self.arguments, flag))
 
-def table(scenario: Scenario, connect: str, anchor: str, log: str) -> tuple[tuple[Process, ...], ...]:
-    """The processes of a run, in stages: each stage starts when the one before is there.
+
+def table(
+    scenario: Scenario, connect: str, anchor: str, log: str, recording: Sequence[str] = ()
+) -> tuple[tuple[Process, ...], ...]:
+    """The processes of a run, in stages: each stage starts when the one before is there. `recording` are more
+    arguments of the recorder.
 
     They are stopped in the order `stop_order` gives.
     """
@@ -46,7 +53,7 @@ def table(scenario: Scenario, connect: str, anchor: str, log: str) -> tuple[tupl
     life = ("--incarnation", str(LIFE))
     return (
         (Process("router", ("router", "--scenario", "-", "--listen", connect, "--anchor", anchor)),),
-        (Process("recorder", ("recorder", *common, "--log", log)),),
+        (Process("recorder", ("recorder", *common, "--log", log, *recording)),),
         (
             Process("simulator", ("simulator", *common, *life)),
             *(Process(robot.id, ("agent", robot.id, *common, *life)) for robot in scenario.robots),
@@ -80,6 +87,7 @@ class Child:
     def __init__(self, process: Process, scenario_json: bytes, program: Sequence[str] = MANIPLE) -> None:
         self.name = process.name
         self._last_words: deque[str] = deque(maxlen=LAST_WORDS)
+        self._news: deque[str] = deque(maxlen=LAST_WORDS)
         self._spoke = threading.Event()
         try:
             self._popen = subprocess.Popen(  # noqa: S603 - our own interpreter and arguments
@@ -120,6 +128,12 @@ class Child:
     def spoke(self, timeout_s: float) -> bool:
         """Whether it has said something on its standard output; waits for that."""
         return self._spoke.wait(timeout_s)
+
+    def news(self) -> Iterator[str]:
+        """What it has said on its standard error since this was asked for last, while it lives or where it
+        ended well; else those are its last words."""
+        while self._news and self._popen.poll() in (None, 0):
+            yield self._news.popleft()
 
     def interrupt(self) -> None:
         """Ask it to finish."""
@@ -171,7 +185,9 @@ class Child:
         assert self._popen.stderr is not None
         with self._popen.stderr as stream:
             for line in stream:
-                self._last_words.append(line.decode(errors="replace").rstrip())
+                words = line.decode(errors="replace").rstrip()
+                self._last_words.append(words)
+                self._news.append(words)
 
 
 def finish_all(children: Sequence[Child], until: float) -> None:

@@ -11,8 +11,9 @@ from maniple.cli.crew import Crew
 from maniple.cli.interrupt import on_interrupt
 from maniple.cli.nodes import RUNDOWN_S, time_limit_s
 from maniple.cli.outcome import Outcome, figures_of
-from maniple.cli.processes import stop_order, table
+from maniple.cli.processes import Process, stop_order, table
 from maniple.cli.progress import Progress, ProgressWatch
+from maniple.cli.recording_options import EVERYTHING, RecordingOptions
 from maniple.cli.upkeep import SIMULATOR
 from maniple.core import codec, topics
 from maniple.core.errors import MessageError, RunError, TransportError
@@ -51,6 +52,7 @@ def run_realtime(
     on_progress: Callable[[Progress], None],
     on_notice: Callable[[str], None],
     keep_alive: bool = False,
+    recording: RecordingOptions = EVERYTHING,
 ) -> Outcome:
     """Run to the end of the task, or of `duration_s`.
 
@@ -58,7 +60,7 @@ def run_realtime(
         RunError: a process could not be started, or one died that the platoon can't do without.
         RecordingError: the recording can't be written or read.
     """
-    platoon = Platoon(scenario, log, speed, on_notice, keep_alive)
+    platoon = Platoon(scenario, log, speed, on_notice, keep_alive, recording)
     with on_interrupt(platoon.interrupt):
         failure = platoon.run(duration_s, on_progress)
     crew = platoon.crew
@@ -90,9 +92,11 @@ class Platoon:
         speed: float,
         on_notice: Callable[[str], None] = lambda _: None,
         keep_alive: bool = False,
+        recording: RecordingOptions = EVERYTHING,
     ) -> None:
         self._scenario = scenario
         self._log = log
+        self._recording = recording.arguments()
         self._clock = Anchor.here(speed)
         self.crew = Crew(scenario, log, self._clock, keep_alive, on_notice)
         self._plan = plan_of(scenario, NEVER)
@@ -121,6 +125,7 @@ class Platoon:
                     self.crew.bury(self._plan)
                     self.crew.revive(self._plan)
                     self.crew.look_for_frozen()
+                    self.crew.pass_on()
                     on_progress(self._progress(endpoint))
                 if not self.interrupted:
                     self._patience = PATIENCE
@@ -142,7 +147,7 @@ class Platoon:
             session.watch(lambda *life: self._lives.put(Life(*life)))
             for expression in (topics.FORMATION_STATE, topics.status("*"), topics.PLAN):
                 session.subscribe(expression, lambda topic, data: self._inbox.put((topic, data)))
-        for stage in table(self._scenario, endpoint, str(self._clock), str(self._log)):
+        for stage in self._table(endpoint):
             if self.interrupted:
                 break
             for process in stage:
@@ -155,7 +160,7 @@ class Platoon:
         """Start a router on a port that nobody takes in between; returns its endpoint."""
         for attempt in range(1, PORTS + 1):
             endpoint = free_endpoint()
-            ((process,), *_) = table(self._scenario, endpoint, str(self._clock), str(self._log))
+            ((process,), *_) = self._table(endpoint)
             router = self.crew.spawn(process)
             while not (self.interrupted or router.spoke(_POLL_S)):
                 if not router.alive and attempt < PORTS:
@@ -166,6 +171,9 @@ class Platoon:
             else:
                 break
         return endpoint
+
+    def _table(self, endpoint: str) -> tuple[tuple[Process, ...], ...]:
+        return table(self._scenario, endpoint, str(self._clock), str(self._log), self._recording)
 
     def _await(self, names: set[str], until: float) -> None:
         """Wait until all these nodes live."""
@@ -213,6 +221,7 @@ class Platoon:
                 speed = self._clock.speed
                 time.sleep(max(min(RUNDOWN_S / speed, RUNDOWN_S, left), 0.0))
             self.crew.finish(names, until)
+        self.crew.pass_on()
 
 
 _FAIR = FaultPlan(since_ns=0)

@@ -16,6 +16,54 @@ if TYPE_CHECKING:
     from maniple.cli.api import Result
     from maniple.report.summary import Errors
 
+_RECORDING = "Recording"
+
+SplitSize = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SIZE",
+        help="Begin LOG-2.mcap, ... when a part has so many bytes: 500MB, 2GiB.",
+        rich_help_panel=_RECORDING,
+    ),
+]
+SplitTime = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS", help="The same after so much time of the run.", rich_help_panel=_RECORDING
+    ),
+]
+CompressionOf = Annotated[
+    str, typer.Option(metavar="zstd|none", help="Of the file.", rich_help_panel=_RECORDING)
+]
+Topics = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="PATTERN",
+        help="Record these topics only; * is one level, ** any number.",
+        rich_help_panel=_RECORDING,
+    ),
+]
+Without = Annotated[
+    list[str] | None,
+    typer.Option(metavar="PATTERN", help="Do not record these topics.", rich_help_panel=_RECORDING),
+]
+MinFree = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SIZE",
+        help="End in order before less than this is free on the disk; by default 200MB.",
+        rich_help_panel=_RECORDING,
+    ),
+]
+NoViz = Annotated[
+    bool,
+    typer.Option(
+        "--no-viz",
+        help="Leave out the channels for viewers (in virtual time there are none).",
+        rich_help_panel=_RECORDING,
+    ),
+]
+
 
 def run(
     scenario: Annotated[Path, typer.Argument(help="Scenario file (TOML).")],
@@ -34,6 +82,13 @@ def run(
     keep_alive: Annotated[
         bool, typer.Option("--keep-alive", help="Start again whatever dies, but for the simulator.")
     ] = False,
+    split_size: SplitSize = None,
+    split_time: SplitTime = None,
+    compression: CompressionOf = "zstd",
+    topic: Topics = None,
+    without: Without = None,
+    min_free: MinFree = None,
+    no_viz: NoViz = False,
     json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> None:
     """Run a scenario to the end of its task and record everything.
@@ -41,7 +96,9 @@ def run(
     Exit status: 0 if the task was completed without a collision, 1 if not, 2 bad input, 130 interrupted.
     """
     from maniple.cli import api
+    from maniple.cli.recording_options import options_of
 
+    recording = options_of(split_size, split_time, compression, topic or (), without or (), min_free, no_viz)
     with LiveProgress(Console(stderr=True), scenario.stem) as show:
         result = api.run(
             scenario,
@@ -52,6 +109,7 @@ def run(
             overrides=overrides or (),
             log=log,
             keep_alive=keep_alive,
+            recording=recording,
             on_progress=show,
             on_notice=show.notice,
         )

@@ -1,12 +1,15 @@
 """A run in virtual time, in this process."""
 
+import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import count
 from pathlib import Path
 
 from maniple.cli.interrupt import on_interrupt
 from maniple.cli.nodes import RUNDOWN_S, factories, time_limit_s
 from maniple.cli.outcome import Outcome
 from maniple.cli.progress import Progress, ProgressWatch
+from maniple.cli.recording_options import EVERYTHING, RecordingOptions
 from maniple.core import codec
 from maniple.core.envelope import Envelope
 from maniple.core.messages import FormationState
@@ -15,7 +18,8 @@ from maniple.core.scenario.parse import to_json
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import Time, from_seconds
 from maniple.host.virtual import VirtualHost
-from maniple.recording.writer import RecordingWriter
+from maniple.recording.split import PartsWriter
+from maniple.recording.writer import Latched, RecordingWriter, part
 from maniple.report.summary import Summary
 
 
@@ -27,9 +31,10 @@ def run_virtual(
     on_progress: Callable[[Progress], None],
     on_notice: Callable[[str], None] = lambda _: None,
     inputs: Sequence[tuple[Time, Envelope]] = (),
+    recording: RecordingOptions = EVERYTHING,
 ) -> Outcome:
     """Run to the end of the task, or of `duration_s`; `on_notice` gets what the scenario asks for in vain.
-    `inputs` are what operators say, and when.
+    `inputs` are what operators say, and when. `log` must not be there.
 
     Raises:
         RecordingError: the recording can't be written.
@@ -38,16 +43,19 @@ def run_virtual(
         on_notice(notice)
     summary = Summary(scenario)
     watch = ProgressWatch(scenario)
-    read: dict[str, bool] = {}
+    takes = recording.selection.takes
+    uses: dict[str, tuple[bool, bool]] = {}
     interrupted = False
 
     def tap(envelope: Envelope, arrival: Time) -> None:
         topic = envelope.topic
-        writer.write(topic, envelope.data, arrival, envelope.stamp_ns, envelope.seq)
+        found = uses.get(topic)
+        if found is None:
+            found = uses[topic] = takes(topic), summary.wants(topic)
+        taken, wanted = found
+        if taken:
+            writer.write(topic, envelope.data, arrival, envelope.stamp_ns, envelope.seq)
         writer.tick(arrival)
-        wanted = read.get(topic)
-        if wanted is None:
-            wanted = read[topic] = summary.wants(topic)
         if wanted:
             message = codec.decode(topic, envelope.data)
             summary.add(message)
@@ -64,17 +72,30 @@ def run_virtual(
 
     makers = factories(scenario)
     host = VirtualHost([make(1) for make in makers.values()], scenario, tap, makers, inputs)
-    recording = RecordingWriter(
-        log, to_json(scenario), metadata, prefix=scenario.network.prefix, now=host.now
-    )
-    with recording as writer, on_interrupt(interrupt):
+    scenario_json = to_json(scenario)
+    numbers = count(1)
+
+    def begin(latched: Sequence[Latched]) -> RecordingWriter:
+        number = next(numbers)
+        about = {**metadata, **recording.metadata, **({"part": str(number)} if number > 1 else {})}
+        return RecordingWriter(
+            part(log, number),
+            scenario_json,
+            about,
+            prefix=scenario.network.prefix,
+            now=host.now,
+            compression=recording.compression,
+            latched=latched,
+        )
+
+    with contextlib.closing(PartsWriter(begin, recording.splits)) as writer, on_interrupt(interrupt):
         host.start()
         host.run(host.now + from_seconds(time_limit_s(scenario, duration_s)))
         host.stop(["controller"])
         host.stop(robot.id for robot in scenario.robots)
         host.run(host.now + from_seconds(RUNDOWN_S))
         host.stop(["simulator"])
-    return Outcome(summary.figures(), interrupted, (log,), {})
+    return Outcome(summary.figures(), interrupted, tuple(writer.paths), {})
 
 
 def _without_process(scenario: Scenario) -> Iterator[str]:

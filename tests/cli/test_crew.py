@@ -118,13 +118,15 @@ def test_what_the_plan_kills_it_brings_back(tmp_path: Path, monkeypatch: pytest.
 def test_kept_alive_all_come_back_and_the_recorder_in_another_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = Run(tmp_path, monkeypatch, keep_alive=True)
     (tmp_path / "run-2.mcap").touch()
+    run = Run(tmp_path, monkeypatch, keep_alive=True)
+    run.log.touch()
     assert run.at(1.0, "router") == ["router died; it will be back", "router is started again"]
     third = tmp_path / "run-3.mcap"
     assert run.at(2.0, "recorder")[1:] == [f"recorder is started again: {third}"]
+    third.touch()
     assert run.crew.logs == [run.log, third]
-    assert run.child("recorder").process.arguments[-2:] == ("--log", str(third))
+    assert run.child("recorder").process.arguments[-3:] == ("--log", str(run.log), "--next")
     said = run.at(3.0, "r1", "r2", "r3")
     assert said[2] == "r3 died; 1 robots go on, 3 will be back"
     assert said[3:] == [f"{name} is started again (incarnation 2)" for name in ("r1", "r2", "r3")]

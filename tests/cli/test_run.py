@@ -17,6 +17,7 @@ from mcap.reader import make_reader
 
 import maniple
 from maniple.cli import main as program
+from maniple.cli.recording_options import RecordingOptions
 from maniple.core.errors import ArgumentError, RecordingError, ScenarioError
 from maniple.core.messages import Command
 from maniple.core.scenario.types import Scenario
@@ -351,6 +352,61 @@ def test_a_bad_network(tmp_path: Path, layer: str) -> None:
     assert 0 <= on_the_way <= 40
     assert result.command_age_ms.p50 is not None
     assert result.command_age_ms.p50 > 200
+
+
+def test_a_run_in_parts_is_the_same_run(small: Path, tmp_path: Path) -> None:
+    whole = run_virtual(small, tmp_path)
+    (tmp_path / "parts").mkdir()
+    parts = run_virtual(small, tmp_path / "parts", recording=RecordingOptions(split_s=5.0))
+    assert len(parts.logs) > 3
+    assert parts.logs[1] == str(tmp_path / "parts" / "run-2.mcap")
+    recording = read(parts.log)
+    assert [str(path) for path in recording.paths] == parts.logs
+    assert list(recording.messages()) == list(read(whole.log).messages())
+    assert parts.final_error == whole.final_error
+
+
+def test_topics_may_be_left_out_of_a_virtual_recording(small: Path, tmp_path: Path) -> None:
+    """The figures are made all the same, and what that means is told."""
+    told: list[str] = []
+    options = RecordingOptions(without=("sim/truth", "hw/**"), compression="none")
+    result = run_virtual(small, tmp_path, recording=options, on_notice=told.append)
+    assert result.completed
+    assert result.min_clearance_m is not None
+    names = {entry.topic for entry in read(result.log).messages()}
+    assert "robot/r1/odometry" in names
+    assert not any(name.startswith(("hw/", "sim/")) for name in names)
+    (notice,) = told
+    assert "not recorded, as asked" in notice
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (("--split-size", "1kB"), "split size: must be at least 1 MB"),
+        (("--split-size", "many"), "--split-size: 'many' is no size"),
+        (("--min-free", "9999TB"), "--min-free"),
+        (("--compression", "lz4"), "--compression lz4: must be zstd or none"),
+        (("--topic", "a//b"), "topic pattern 'a//b'"),
+    ],
+)
+def test_how_it_is_recorded_is_checked_first(
+    small: Path, tmp_path: Path, command: Maniple, options: tuple[str, ...], problem: str
+) -> None:
+    log = tmp_path / "a.mcap"
+    status, out, err = command("run", small, "--virtual", "--log", log, *options)
+    assert (status, out) == (2, "")
+    assert problem in err
+    assert not log.exists()
+
+
+def test_a_run_of_processes_records_what_its_figures_are_made_of(small: Path, tmp_path: Path) -> None:
+    log = tmp_path / "a.mcap"
+    with pytest.raises(ArgumentError, match="sim/truth must be recorded"):
+        maniple.run(small, log=log, recording=RecordingOptions(without=("sim/*",)))
+    with pytest.raises(ArgumentError, match="viewer channels are not for virtual time"):
+        run_virtual(small, tmp_path, recording=RecordingOptions(viz=True))
+    assert list(tmp_path.glob("*.mcap")) == []
 
 
 def test_progress_is_reported(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """The recorder: what it writes down, what it keeps out, and what it holds for a router that comes back."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from threading import Thread
 
@@ -14,9 +14,11 @@ from maniple.core.scenario.parse import to_json
 from maniple.core.time import SECOND
 from maniple.host.clock import Anchor
 from maniple.host.fate import Death, Pause
-from maniple.host.recorder import MOST_STRANGE, RecorderHost, keys_of
+from maniple.host.recorder import MOST_STRANGE, RecorderHost, keys_of, late_text
 from maniple.host.router import RouterHost
 from maniple.recording.reader import read
+from maniple.recording.split import PartsWriter
+from maniple.recording.tally import Tally
 from maniple.recording.writer import RecordingWriter
 from maniple.transport.zenoh import MAX_BYTES, ZenohSession, crc_of
 from tests.host.nodes import odometry, scenario_with
@@ -29,13 +31,20 @@ MET: list[Death | Pause] = []
 
 
 @contextmanager
-def recorder(endpoint: str, path: Path, clock: Anchor | None = None) -> Iterator[RecorderHost]:
+def recorder(
+    endpoint: str, path: Path, clock: Anchor | None = None, takes: Callable[[str], bool] = lambda _: True
+) -> Iterator[RecorderHost]:
     """A recorder in a thread of its own; the recording is whole at the end."""
     scenario = scenario_with()
-    writer = RecordingWriter(path, to_json(scenario), {}, prefix="test")
-    with writer, ZenohSession.client(endpoint, "test") as session:
+    writer = PartsWriter(lambda _: RecordingWriter(path, to_json(scenario), {}, prefix="test"))
+    with closing(writer), ZenohSession.client(endpoint, "test") as session:
         host = RecorderHost(
-            writer, clock or Anchor.here(), [session], scenario, lambda event, _: MET.append(event)
+            writer,
+            clock or Anchor.here(),
+            [session],
+            scenario,
+            lambda event, _: MET.append(event),
+            takes=takes,
         )
         thread = Thread(target=host.run)
         thread.start()
@@ -176,3 +185,30 @@ def test_log_time_is_when_it_arrived_by_the_clock_of_the_run(endpoint: str, tmp_
     assert isinstance(entry.message, Message)
     assert isinstance(entry.message, Odometry)
     assert before <= entry.log_time_ns <= after + SECOND
+
+
+def test_what_is_left_out_is_held_all_the_same(endpoint: str, tmp_path: Path) -> None:
+    """For a router that comes back."""
+    path = tmp_path / "a.mcap"
+    with (
+        recorder(endpoint, path, takes=lambda topic: topic == TOPIC) as host,
+        ZenohSession.client(endpoint, "test") as node,
+    ):
+        node.put(topics.STOP, stop(5))
+        node.put(TOPIC, message(0))
+        node.settle()
+        eventually(lambda: host._store.message(topics.STOP))
+    assert recorded(path) == {TOPIC: [message(0)]}
+
+
+def test_what_came_before_is_told_by_its_sender() -> None:
+    tally = Tally()
+    assert late_text(tally.streams()) == ""
+    tally.note(TOPIC, "r1", 1, 0)
+    tally.note(TOPIC, "r2", 1, 5)
+    tally.note("robot/r2/status", "r2", 1, 1)
+    tally.note("robot/r2/status", "r2", 1, 4)
+    tally.note(TOPIC, "controller", 2, 3)
+    assert late_text(tally.streams()) == (
+        "came late: the first 9 messages are missing (3 of controller, 6 of r2)"
+    )

@@ -1,42 +1,32 @@
 """Oracle: the MCAP implementation in TypeScript, which shares no code with the one in Python."""
 
-import json
-import shutil
-import subprocess
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import pytest
 
+from maniple.cli.loading import completed
 from maniple.core import topics
+from maniple.core.time import SECOND
+from maniple.recording.split import Splits, ViewerChannel
+from maniple.recording.viz import Viewer
 from maniple.recording.writer import Compression
+from tests.cli.scenes import platoon
+from tests.recording.npm_reader import check, install
+from tests.recording.test_split import goal, writer_to
 from tests.recording.traffic import METADATA, SCENARIO, Sent, record, traffic
-
-NPM = Path(__file__).parent / "npm"
 
 
 @pytest.fixture(scope="module")
 def checker(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The check script with its packages installed."""
-    npm = shutil.which("npm")
-    if npm is None:
-        pytest.skip("npm is not installed")
-    folder = tmp_path_factory.mktemp("npm")
-    for name in ("package.json", "check.mjs"):
-        shutil.copy(NPM / name, folder)
-    command = [npm, "install", "--no-audit", "--no-fund", "--no-package-lock", "--ignore-scripts"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
-    if done.returncode:
-        pytest.skip(f"npm install failed: {done.stderr.strip()[-300:]}")
-    return folder / "check.mjs"
+    return install(tmp_path_factory.mktemp("npm"))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("compression", ["zstd", "none"])
 def test_typescript_readers_agree(checker: Path, tmp_path: Path, compression: Compression) -> None:
     sent = [*traffic(200), Sent("else/where", b"\x01", 1, 1, 0)]
-    found = _check(checker, record(tmp_path / "a.mcap", sent, compression))
+    found = check(checker, record(tmp_path / "a.mcap", sent, compression))
     counts = Counter(f"maniple/{message.topic}" for message in sent)
     assert found["streamed"] == found["indexed"] == counts
     assert found["attachments"] == {"scenario.json": SCENARIO.decode()}
@@ -49,13 +39,31 @@ def test_typescript_readers_agree(checker: Path, tmp_path: Path, compression: Co
 
 @pytest.mark.slow
 def test_typescript_readers_take_a_recording_without_messages(checker: Path, tmp_path: Path) -> None:
-    found = _check(checker, record(tmp_path / "a.mcap", []))
+    found = check(checker, record(tmp_path / "a.mcap", []))
     assert found["streamed"] == found["indexed"] == {}
 
 
-def _check(checker: Path, path: Path) -> Any:
-    done = subprocess.run(
-        ["node", checker.name, str(path)], cwd=checker.parent, capture_output=True, text=True, timeout=60
-    )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+@pytest.mark.slow
+def test_typescript_readers_take_parts_with_channels_for_viewers(checker: Path, tmp_path: Path) -> None:
+    sent = traffic(100)
+    viewer = Viewer(completed(platoon(3)))
+    writer = writer_to(tmp_path, Splits(duration=SECOND))
+    for channel in viewer.channels:
+        writer.add_viewer_channel(ViewerChannel(*channel))
+    first = sent[0].log_time_ns
+    writer.write(topics.STOP, goal(0), first, first, 0)
+    for number, message in enumerate(sent):
+        writer.write(*message)
+        writer.draw("/viz/log", b"", message.log_time_ns, message.log_time_ns)
+        writer.note("counted", {"so far": str(number)})
+    writer.close()
+    counts: Counter[str] = Counter()
+    for path in writer.paths:
+        found = check(checker, path)
+        assert found["streamed"] == found["indexed"]
+        assert found["schemas"]["/viz/log"] == "foxglove.Log"
+        counts.update(found["streamed"])
+    assert counts["/viz/log"] == len(sent)
+    assert counts.total() == 2 * len(sent) + 1
+    assert f"latched/{topics.STOP}" in found["attachments"]
+    assert found["metadata"]["counted"] == {"so far": str(len(sent) - 1)}

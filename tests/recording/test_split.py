@@ -19,7 +19,7 @@ from tests.recording.traffic import METADATA, SCENARIO, Sent, traffic
 VIEWER = ViewerChannel("/viz/numbers", "json", "maniple.Numbers", "jsonschema", b"{}")
 
 
-def writer_to(folder: Path, splits: Splits, **options: object) -> PartsWriter:
+def writer_to(folder: Path, splits: Splits) -> PartsWriter:
     numbers = count(1)
 
     def begin(latched: Sequence[Latched]) -> RecordingWriter:
@@ -29,7 +29,7 @@ def writer_to(folder: Path, splits: Splits, **options: object) -> PartsWriter:
             part(folder / "a.mcap", number), SCENARIO, about, prefix="maniple", latched=latched
         )
 
-    return PartsWriter(begin, splits, lambda _: True, **options)  # type: ignore[arg-type]
+    return PartsWriter(begin, splits, lambda _: True)
 
 
 def fill(writer: PartsWriter, sent: Sequence[Sent]) -> None:

@@ -2,6 +2,7 @@
 
 import typer
 
+from maniple.cli.log.control import keep, pause, resume
 from maniple.cli.log.cut import cut
 from maniple.cli.log.diff import diff
 from maniple.cli.log.export import export
@@ -27,6 +28,9 @@ app.command()(merge)
 app.command()(verify)
 app.command()(diff)
 app.command()(export)
+app.command()(keep)
+app.command()(pause)
+app.command()(resume)
 app.command()(play)
 app.command()(player)
 app.command()(rerun)

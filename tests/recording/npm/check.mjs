@@ -36,7 +36,8 @@ async function stream(path, decompressHandlers) {
   const take = (record) => {
     switch (record.type) {
       case "Schema":
-        JSON.parse(new TextDecoder().decode(record.data));
+        if (record.encoding === "jsonschema") JSON.parse(new TextDecoder().decode(record.data));
+        assert(record.data.length > 0, `the schema of ${record.name} is empty`);
         schemas.set(record.id, record.name);
         break;
       case "Channel":
