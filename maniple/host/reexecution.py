@@ -228,12 +228,12 @@ def reexecute(life: Life, node: Node, inputs: Inputs) -> Iterator[Step]:
         last = len(journal.calls) - 1
         for place, call in enumerate(journal.calls):
             received = _received(call, index, inputs, record.log_time_ns) if call.kind == "message" else None
-            raised, outgoing = "", tuple[Outgoing, ...]()
+            raised, sent = "", tuple[Envelope, ...]()
             try:
-                outgoing = tuple(_call(node, call, received))
+                outgoing = _call(node, call, received)
+                sent = tuple(stamper.stamp(topic, said, call.now_ns) for topic, said in outgoing)
             except Exception as error:  # noqa: BLE001 - what a node does is what is looked at
                 raised = f"{type(error).__name__}: {error}"
-            sent = tuple(stamper.stamp(topic, said, call.now_ns) for topic, said in outgoing)
             yield Step(index, call, sent, journal.sent if place == last else {}, raised)
             index += 1
 

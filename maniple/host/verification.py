@@ -39,7 +39,7 @@ _SHOWN = 10
 """Messages that are named in one line."""
 
 _WATCHED = 256
-"""Calls between."""
+"""Calls, or messages, in between."""
 
 
 class Input(msgspec.Struct, frozen=True):
@@ -169,7 +169,7 @@ def prove(
     )
 
 
-def census(recording: Recording) -> Census:
+def census(recording: Recording, watch: Watch = lambda: None) -> Census:
     """Who says how much in a recording.
 
     Raises:
@@ -180,7 +180,9 @@ def census(recording: Recording) -> Census:
     headless = 0
     changed: list[str] = []
     owners: dict[str, tuple[str, bool, bool]] = {}
-    for record in recording.messages():
+    for count, record in enumerate(recording.messages()):
+        if count % _WATCHED == 0:
+            watch()
         topic = record.topic
         try:
             header = header_of(topic, record.data)
@@ -330,13 +332,11 @@ class _Matcher:
         topic, seq = record.topic, record.sequence
         problem = f"{topic} {seq} is recorded with other content than it sends"
         try:
-            known = record.decode()
+            known, again = record.decode(), codec.decode(topic, made)
         except MessageError as error:
-            problem = f"{topic} {seq} is recorded with bytes that are no message: {error}"
+            problem = f"{topic} {seq} is recorded with other bytes than it sends, and is no message: {error}"
         else:
-            if self._tolerance != EXACT and not any(
-                differences(known, codec.decode(topic, made), self._tolerance)
-            ):
+            if self._tolerance != EXACT and not any(differences(known, again, self._tolerance)):
                 self.near += 1
                 return
         self._find(_Finding(index, problem, topic, seq, record.data, made))
@@ -438,18 +438,18 @@ def _values(finding: _Finding, tolerance: Tolerance) -> tuple[str, Any, Any, int
     if not finding.made:
         return "", None, None, 0
     try:
-        known = codec.decode(finding.topic, finding.recorded)
+        known, again = (codec.decode(finding.topic, data) for data in (finding.recorded, finding.made))
     except MessageError:
-        return "", None, None, 0
-    found = list(differences(known, codec.decode(finding.topic, finding.made), tolerance))
+        return *_byte(finding.recorded, finding.made), 0
+    found = list(differences(known, again, tolerance))
     if not found:
         return *_byte(finding.recorded, finding.made), 0
     return *found[0], len(found)
 
 
 def _byte(recorded: bytes, made: bytes) -> tuple[str, Any, Any]:
-    """Where two messages of the same content differ: in the name of a field that has its default, or by
-    fields that this version does not know."""
+    """Where two messages differ in no field: one is no message, the name of a field that has its default was
+    changed, or there are fields that this version does not know."""
     if len(recorded) != len(made):
         return "length in bytes", len(recorded), len(made)
     place = next(place for place, (a, b) in enumerate(zip(recorded, made, strict=True)) if a != b)
@@ -480,16 +480,19 @@ def _traced(recording: Recording, calls: Sequence[tuple[int, Call]]) -> tuple[In
     for index, call in calls:
         key = call.name, call.source, call.incarnation, call.seq
         data = found.get(key) if call.data is None else call.data
-        message = None if data is None else _content(codec.decode(call.name, data))
-        traced.append(Input(index, call.now_ns, call.kind, *key, message))
+        traced.append(Input(index, call.now_ns, call.kind, *key, data and _content(call.name, data)))
     return tuple(traced)
 
 
 _HEADER = frozenset(Message.__struct_fields__)
 
 
-def _content(message: Message) -> Any:
-    """A message as JSON has it, without its header, float arrays as lists."""
+def _content(topic: str, data: bytes) -> Any:
+    """A message as JSON has it, without its header, float arrays as lists; None where it is no message."""
+    try:
+        message = codec.decode(topic, data)
+    except MessageError:
+        return None
     arrays = codec.float_arrays(type(message))
     return {
         name: unpack_floats(value).tolist() if name in arrays else msgspec.to_builtins(value)

@@ -101,7 +101,7 @@ def verify(
     chosen = tuple(name for name in known if not nodes or name in nodes)
     count = jobs or (1 if _size(recording) < SMALL else len(os.sched_getaffinity(0)))
     if count == 1:
-        said, proofs = _one_by_one(order, chosen, stopped, on_progress)
+        said, proofs = _one_by_one(order, recording, chosen, stopped, on_progress)
     else:
         said, proofs = _side_by_side(order, chosen, count, stopped, on_progress)
     return _summed_up(order, recording, chosen, said, proofs)
@@ -184,7 +184,11 @@ def _size(recording: Recording) -> int:
 
 
 def _one_by_one(
-    order: Order, nodes: Sequence[str], stopped: Callable[[], bool], on_progress: Callable[[Progress], None]
+    order: Order,
+    recording: Recording,
+    nodes: Sequence[str],
+    stopped: Callable[[], bool],
+    on_progress: Callable[[Progress], None],
 ) -> tuple[Census, tuple[Proof, ...]]:
     """All in this process."""
 
@@ -196,8 +200,8 @@ def _one_by_one(
     for done, node in enumerate(nodes):
         on_progress(Progress(done, len(nodes)))
         watch()
-        proofs += _prove(order, node, watch)
-    return census(_opened(order.file)), tuple(proofs)
+        proofs += _prove(order, recording, node, watch)
+    return census(recording, watch), tuple(proofs)
 
 
 def _side_by_side(
@@ -259,20 +263,19 @@ def _watch() -> None:
 
 
 def _prove_here(order: Order, node: str) -> tuple[Proof, ...]:
-    return _prove(order, node, _watch)
+    return _prove(order, _opened(order.file), node, _watch)
 
 
 def _count_here(order: Order) -> Census:
-    return census(_opened(order.file))
+    return census(_opened(order.file), _watch)
 
 
-def _prove(order: Order, node: str, watch: Callable[[], None]) -> tuple[Proof, ...]:
-    recording = _opened(order.file)
+def _prove(order: Order, recording: Recording, node: str, watch: Callable[[], None]) -> tuple[Proof, ...]:
     make = factories(recording.scenario)[node]
     return prove(recording, node, make, order.tolerance, order.trace, watch)
 
 
 @lru_cache(1)
 def _opened(file: Path) -> Recording:
-    """A recording, which is found out about once in a process."""
+    """The recording, found out about once in each process that was started for it."""
     return read(file)
