@@ -1,3 +1,4 @@
+import itertools
 import os
 import random
 import signal
@@ -5,18 +6,19 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import SeekingReader
 from mcap.writer import CompressionType, Writer
 
-from maniple.core import messages
+from maniple.core import codec, messages
 from maniple.core.errors import MessageError, RecordingError
 from maniple.core.scenario.parse import to_json
 from maniple.core.scenario.types import Formation, Line, Robot, Scenario
 from maniple.recording.reader import read
-from maniple.recording.scan import read_chunk, scan
-from maniple.recording.writer import Compression, RecordingWriter
+from maniple.recording.scan import ChunkPlace, Damage, read_chunk, scan
+from maniple.recording.writer import Compression, RecordingWriter, part
 from tests.recording.traffic import METADATA, SCENARIO, Sent, drive, record, traffic, writer_to
 
 
@@ -262,3 +264,139 @@ def _messages_per_chunk(path: Path) -> list[int]:
 def _finish(writer: Writer) -> None:
     finish: Callable[[], None] = writer.finish
     finish()
+
+
+def parts(log: Path, sent: list[Sent], borders: list[int], **about: str) -> list[list[Sent]]:
+    """A recording in parts, each a stretch of what was sent."""
+    stretches = [sent[a:b] for a, b in itertools.pairwise([0, *borders, len(sent)])]
+    for number, stretch in enumerate(stretches, 1):
+        with RecordingWriter(
+            part(log, number), SCENARIO, {**METADATA, "part": str(number), **about}, prefix="maniple"
+        ) as writer:
+            for message in stretch:
+                writer.write(*message)
+                writer.tick(message.log_time_ns)
+    return stretches
+
+
+def test_parts_are_one_recording(tmp_path: Path) -> None:
+    """Channels have other ids in each, and equal times are on both sides of a border."""
+    log, sent = tmp_path / "a.mcap", traffic(60)
+    first, second, third = parts(log, sent, [82, 111])
+    recording = read(log)
+    assert list(recording.messages()) == first + second + third == sent
+    assert recording.path == log
+    assert recording.paths == (log, part(log, 2), part(log, 3))
+    assert recording.complete
+    assert list(read(part(log, 2)).messages()) == second + third
+    assert read(part(log, 2)).paths == recording.paths[1:]
+    assert (recording.start_ns, recording.end_ns) == (sent[0].log_time_ns, sent[-1].log_time_ns)
+    assert recording.topics == ("hw/r1/drive", "hw/r1/scan", "hw/r2/drive", "hw/r2/scan")
+
+
+def test_parts_that_overlap_in_time(tmp_path: Path) -> None:
+    """In the order of log time, then part, then place."""
+    log = tmp_path / "a.mcap"
+    sent = [Sent("hw/r1/drive", drive(n), time, time, n) for n, time in enumerate([1, 5, 9, 3, 5, 7, 2, 5])]
+    parts(log, sent, [3, 6])
+    found = [(entry.log_time_ns, entry.sequence) for entry in read(log).messages()]
+    assert found == [(1, 0), (2, 6), (3, 3), (5, 1), (5, 4), (5, 7), (7, 5), (9, 2)]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [{"part": "3"}, {"anchor": "77"}, {"scenario": "other"}],
+    ids=["another number", "another run", "another scenario"],
+)
+def test_a_file_that_is_only_named_like_a_part(tmp_path: Path, other: dict[str, str]) -> None:
+    log, sent = tmp_path / "a.mcap", traffic(4)
+    parts(log, sent, [])
+    scenario = b'{"name": "other"}' if "scenario" in other else SCENARIO
+    with RecordingWriter(
+        part(log, 2), scenario, {**METADATA, "part": "2", **other}, prefix="maniple"
+    ) as writer:
+        writer.write(*sent[0])
+    assert read(log).paths == (log,)
+    assert read(part(log, 2)).paths == (part(log, 2),)
+
+
+def test_runs_of_one_scenario_are_not_parts_of_each_other(tmp_path: Path) -> None:
+    """In virtual time only what says so is a part; in realtime what a recorder that came back has made."""
+    for mode, count in (("virtual", 1), ("realtime", 2)):
+        log = tmp_path / f"{mode}.mcap"
+        for path in (log, part(log, 2)):
+            with RecordingWriter(path, SCENARIO, {**METADATA, "mode": mode}, prefix="maniple") as writer:
+                writer.write(*traffic(1)[0])
+        assert len(read(log).paths) == count
+
+
+def test_parts_without_a_message_are_passed_over(tmp_path: Path) -> None:
+    log, sent = tmp_path / "a.mcap", traffic(12)
+    parts(log, sent, [10, 20, 30])
+    for number in (1, 3):
+        part(log, number).write_bytes(b"")
+    recording = read(log)
+    assert recording.paths == (part(log, 2), part(log, 4))
+    assert list(recording.messages()) == [*sent[10:20], *sent[30:]]
+    assert [
+        str(part(log, number)) in text for number, text in zip((1, 3), recording.passed_over, strict=True)
+    ]
+
+
+def test_the_end_of_a_name_is_not_always_a_part(tmp_path: Path) -> None:
+    """Files are named after process ids."""
+    log = tmp_path / "run-20261123-4711.mcap"
+    sent = traffic(4)
+    parts(log, sent, [8])
+    assert read(log).paths == (log, tmp_path / "run-20261123-4711-2.mcap")
+
+
+def test_damage_of_a_later_part_is_an_error(tmp_path: Path) -> None:
+    log = tmp_path / "a.mcap"
+    parts(log, traffic(12), [20])
+    part(log, 2).write_bytes(b"something else")
+    with pytest.raises(RecordingError, match=r"a-2\.mcap is not an MCAP file"):
+        read(log)
+
+
+def test_a_span_of_time_reads_only_its_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sent = traffic(200)
+    recording = read(record(tmp_path / "a.mcap", sent))
+    opened: list[int] = []
+
+    def counted(file: Any, place: ChunkPlace, *others: Any) -> Any:
+        opened.append(place.offset)
+        return read_chunk(file, place, *others)
+
+    monkeypatch.setattr("maniple.recording.reader.read_chunk", counted)
+    start, end = sent[300].log_time_ns, sent[340].log_time_ns
+    found = list(recording.messages(start_ns=start, end_ns=end))
+    assert found == [entry for entry in sent if start <= entry.log_time_ns < end]
+    assert len(opened) <= 3 < len(recording.layouts[0].chunks)
+
+
+def test_what_can_not_be_read_is_told_where_that_is_asked_for(tmp_path: Path) -> None:
+    sent = traffic()
+    path = record(tmp_path / "a.mcap", sent)
+    counts = _messages_per_chunk(path)
+    place = scan(path).chunks[1]
+    with path.open("r+b") as file:
+        file.seek(place.offset + place.length - 30)
+        file.write(b"garbage")
+    damage: list[Damage] = []
+    found = list(read(path).messages(skipped=damage.append))
+    assert found == sent[: counts[0]] + sent[sum(counts[:2]) :]
+    [one] = damage
+    assert (one.path, one.offset, one.length) == (path, place.offset, place.length)
+
+
+def test_messages_of_another_version_are_not_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their bytes may mean something else, even where they fit."""
+    with monkeypatch.context() as older:
+        older.setattr(codec, "encoding", lambda name: "application/msgpack;maniple.Drive@0")
+        path = record(tmp_path / "a.mcap", traffic(1))
+    [entry, *_] = read(path).messages()
+    assert entry.message is None
+    with pytest.raises(MessageError, match=r"another encoding than application/msgpack;maniple\.Drive@1"):
+        entry.decode()
+    assert list(read(path).decoded(messages.Drive)) == []
