@@ -226,7 +226,7 @@ def _readme(recording: Recording, exported: Exported) -> str:
     lines = [
         f"# {exported.scenario}",
         "",
-        f"Tables of {', '.join(path.name for path in recording.paths)}, {made.get('mode', '?')} time, "
+        f"Tables of {', '.join(path.name for path in recording.paths)}: a {made.get('mode', '?')} run, "
         f"seed {made.get('seed', '?')}, recorded by maniple {made.get('maniple', '?')}.",
         "",
         "`t_s` is when a message reached the recorder, in s since the first of the recording (`log_time_ns`: "
@@ -246,7 +246,7 @@ def _readme(recording: Recording, exported: Exported) -> str:
 def told(complete: bool, unreadable: Mapping[str, int], unknown: Mapping[str, int]) -> Iterator[str]:
     """What is not in an export and might be looked for there, a line each."""
     if not complete:
-        yield "the recording was not finished: the export ends where it stops being whole"
+        yield "the recording was not finished: only what is whole in it is here"
     for topic, count in unreadable.items():
         yield f"{topic}: {count} left out, no valid messages of this topic"
     for topic, count in unknown.items():

@@ -69,7 +69,7 @@ def page(
     parts = [
         f"<h1>{escape(scenario.name)}</h1>",
         f"<p>{escape(scenario.description)}</p>" if scenario.description else "",
-        f'<p class="soft">{chained}. {escape(source)}: {escape(info.mode or "unknown")} time, '
+        f'<p class="soft">{chained}. {escape(source)}: {escape(info.mode or "unknown")} run, '
         f"seed {escape(info.seed)}, maniple {escape(info.version)}.</p>",
         f'<p class="outcome"><b>{escape(outcome(series))}</b></p>',
         *(f'<p class="warn">{escape(line)}</p>' for line in warnings),
