@@ -1,21 +1,36 @@
 """What is known of one robot, as viewers are told it."""
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
+from maniple.core import topics
 from maniple.core.geometry import Pose
 from maniple.core.messages import Drive, Odometry, RobotReport, Scan, Status
 from maniple.core.scenario.types import Point, Robot, RobotModel
-from maniple.core.time import Time
+from maniple.core.time import Duration, Time, from_seconds
 from maniple.recording.viz.basics import WORLD, quaternion, sensor_frame, timestamp, true_frame
 from maniple.recording.viz.channels import points_key, robot_scalars_key, scan_key, trajectory_key
-from maniple.recording.viz.scalars import RobotScalars, measured
+from maniple.recording.viz.scalars import Known, RobotScalars, Told, measured
 from maniple.recording.viz.scene import Bearing
 from maniple.recording.viz.trail import Trail
 
 _NOWHERE = Pose(0.0, 0.0, 0.0)
+
+_LASTS: Mapping[str, Duration] = {
+    kind: from_seconds(topics.topic(name).stale_after_s or 1.0)
+    for kind, name in (
+        ("odometry", topics.odometry("x")),
+        ("status", topics.status("x")),
+        ("drive", topics.drive("x")),
+        ("report", topics.FORMATION_STATE),
+        ("truth", topics.TRUTH),
+    )
+}
+"""For how long what a kind of message says is plotted."""
 
 
 class RobotView:
@@ -31,9 +46,8 @@ class RobotView:
         """Middle of the axle in the world, by dead reckoning."""
         self.true: Pose | None = None
         self.bearing = Bearing()
-        self.scalars = RobotScalars()
         self.news = False
-        """Whether its numbers have changed since they were last told."""
+        """Whether there was a word of it since its numbers were last told."""
         self.trail = Trail()
         self.trail_grown = False
         self.trail_due: Time = 0
@@ -45,6 +59,8 @@ class RobotView:
         self._true_at: Time = 0
         self._frame = ""
         self._localised = True
+        self._fields: dict[str, tuple[Time, Mapping[str, Known | Told]]] = {}
+        """What each kind of message said for plots, and until when that says something about now."""
 
     @property
     def control_point(self) -> Point | None:
@@ -65,49 +81,57 @@ class RobotView:
             self.believed = self.origin.compose(Pose(odometry.x_m, odometry.y_m, odometry.psi_rad))
             self._believed_at = time
             self.trail_grown |= self.trail.add(self.believed)
-        numbers = self.scalars
-        numbers.u_mps, numbers.w_radps = odometry.u_mps, odometry.w_radps
-        if self._sideways:
-            numbers.v_mps = odometry.v_mps
-        self.news = True
+        said = {"u_mps": odometry.u_mps, "w_radps": odometry.w_radps}
+        self._plot("odometry", said | ({"v_mps": odometry.v_mps} if self._sideways else {}), time)
 
-    def on_status(self, status: Status) -> None:
+    def on_status(self, status: Status, time: Time) -> None:
         """How it is."""
         self._localised = status.localised
         self.bearing = self.bearing._replace(mode=status.mode, guard=status.guard)
-        numbers = self.scalars
-        numbers.mode, numbers.guard = status.mode, status.guard
-        numbers.command_age_s = measured(status.command_age_s)
-        numbers.command_age_max_s = measured(status.command_age_max_s)
-        self.news = True
+        said: dict[str, Known | Told] = {
+            "mode": status.mode,
+            "guard": status.guard,
+            "command_age_s": measured(status.command_age_s),
+            "command_age_max_s": measured(status.command_age_max_s),
+        }
+        self._plot("status", said, time)
 
-    def on_drive(self, drive: Drive) -> None:
+    def on_drive(self, drive: Drive, time: Time) -> None:
         """What its drive was told."""
-        numbers = self.scalars
-        numbers.u_commanded_mps, numbers.w_commanded_radps = drive.u_mps, drive.w_radps
-        if self._sideways:
-            numbers.v_commanded_mps = drive.v_mps
-        self.news = True
+        said = {"u_commanded_mps": drive.u_mps, "w_commanded_radps": drive.w_radps}
+        self._plot("drive", said | ({"v_commanded_mps": drive.v_mps} if self._sideways else {}), time)
 
-    def on_report(self, report: RobotReport) -> None:
+    def on_report(self, report: RobotReport, time: Time) -> None:
         """What the controller knows of it."""
         if self.bearing.state != report.state:
             self.bearing = self.bearing._replace(state=report.state)
-        numbers = self.scalars
-        numbers.state = report.state
-        numbers.odometry_age_s = measured(report.odometry_age_s)
-        numbers.round_trip_s = measured(report.round_trip_s)
-        self.news = True
+        said: dict[str, Known | Told] = {
+            "state": report.state,
+            "odometry_age_s": measured(report.odometry_age_s),
+            "round_trip_s": measured(report.round_trip_s),
+        }
+        self._plot("report", said, time)
 
     def on_truth(self, pose: Pose, clearance_m: float, time: Time) -> None:
         """Where it really is, and how near to anything."""
         self.true, self._true_at = pose, time
-        self.scalars.clearance_m = clearance_m
-        self.news = True
+        self._plot("truth", {"clearance_m": clearance_m}, time)
 
     def on_scan(self, scan: Scan) -> None:
         """Where its range finder sits."""
         self._mount = Pose(*scan.mount)
+
+    def scalars(self, time: Time) -> RobotScalars:
+        """Its numbers, as far as they were said lately."""
+        fields: dict[str, Any] = {}
+        for until, said in self._fields.values():
+            if time <= until:
+                fields |= said
+        return RobotScalars(**fields)
+
+    def _plot(self, kind: str, said: Mapping[str, Known | Told], time: Time) -> None:
+        self._fields[kind] = time + _LASTS[kind], said
+        self.news = True
 
     def transforms(self, time: Time) -> list[FrameTransform]:
         """Its frames: as of when its pose was heard; that of its range finder, which is fixed, as of now."""

@@ -134,11 +134,11 @@ class Viewer:
             case Odometry():
                 self._robots[message.source].on_odometry(message, time)
             case Drive():
-                self._robots[message.source].on_drive(message)
+                self._robots[message.source].on_drive(message, time)
             case Scan():
                 return self._on_scan(message, self._robots[message.source], time)
             case Status():
-                self._robots[message.source].on_status(message)
+                self._robots[message.source].on_status(message, time)
             case FormationState():
                 return self._on_state(message, time)
             case Truth():
@@ -170,7 +170,7 @@ class Viewer:
     def _on_state(self, state: FormationState, time: Time) -> Iterator[Drawn]:
         for report in state.roster:
             if report.id in self._robots:
-                self._robots[report.id].on_report(report)
+                self._robots[report.id].on_report(report, time)
         if time < self._state_due:
             return
         self._state_due = time + STATE_GAP
@@ -225,7 +225,7 @@ class Viewer:
         for robot in robots:
             if robot.news:
                 robot.news = False
-                yield Drawn(robot.numbers, encode(robot.scalars), time)
+                yield Drawn(robot.numbers, encode(robot.scalars(time)), time)
             if robot.trail_grown and time >= robot.trail_due:
                 robot.trail_grown, robot.trail_due = False, time + TRAIL_PERIOD
                 yield Drawn(robot.trajectory, robot.trail.message(time), time)

@@ -30,7 +30,7 @@ from maniple.core.messages import (
     Truth,
     unpack_floats,
 )
-from maniple.core.time import MILLISECOND, SECOND
+from maniple.core.time import MILLISECOND, SECOND, VIRTUAL_EPOCH
 from maniple.recording.viz import Drawn, Viewer
 from maniple.report.truth import desired_points, estimated_poses, origin_of
 from tests.recording.viz.pictures import Seen, draw, drawn, run
@@ -334,7 +334,9 @@ def test_a_trail_follows_the_robot() -> None:
 def test_numbers_are_those_of_the_messages() -> None:
     odometry = run().of(Odometry, "robot/r1/odometry")
     drives = run().of(Drive, "hw/r1/drive")
-    for time, told in numbers("/viz/scalars/robot/r1")[5:]:
+    said = [(time, told) for time, told in numbers("/viz/scalars/robot/r1") if "u_commanded_mps" in told]
+    assert len(said) > 60
+    for time, told in said:
         # Of what was logged at the very same moment only a part may have been seen.
         before = [one.u_mps for t, one in odometry if t < time][-1]
         assert told["u_mps"] in (before, *(one.u_mps for t, one in odometry if t == time))
@@ -342,6 +344,17 @@ def test_numbers_are_those_of_the_messages() -> None:
         assert told["w_commanded_radps"] in (before, *(one.w_radps for t, one in drives if t == time))
         assert told["clearance_m"] > 0
         assert told["state"] == "present"
+
+
+def test_nothing_stale_is_plotted() -> None:
+    """The agent of r2 is dead from 2 s to 3 s; ground truth and the controller go on."""
+    dead = [
+        one for time, one in numbers("/viz/scalars/robot/r2") if 2.8 < (time - VIRTUAL_EPOCH) / SECOND < 3
+    ]
+    assert dead
+    for one in dead:
+        assert not {"u_mps", "u_commanded_mps"} & one.keys()
+        assert {"clearance_m", "state"} <= one.keys()
 
 
 def test_numbers_of_the_formation() -> None:
