@@ -6,7 +6,7 @@ COMPOSE = $(shell docker compose version >/dev/null 2>&1 && echo docker compose 
 LOCK = .venv/lock/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
 	--no-annotate --custom-compile-command "make lock"
 
-.PHONY: run test check bench slow docker lock clean
+.PHONY: run test check bench slow references docker lock clean
 
 run: .venv/installed
 	$(BIN)/maniple run scenarios/paper-simulation-1.toml --speed 3
@@ -22,6 +22,10 @@ check: .venv/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# The recordings that the project's scenes are compared with: shows what changed, then replaces them.
+references: .venv/installed
+	$(BIN)/python -m tests.references.scenes
 
 bench: .venv/installed
 	$(BIN)/python -m benchmarks
