@@ -1,7 +1,6 @@
 """What a recording holds: channels, counts, rates, and what is missing by sequence number."""
 
 from collections import defaultdict
-from collections.abc import Iterable
 from functools import cached_property
 
 import msgspec
@@ -118,15 +117,6 @@ def describe(recording: Recording) -> Info:
         channels=channels,
         metadata=dict(metadata),
     )
-
-
-def missing(recordings: Iterable[Recording]) -> int:
-    """How many messages are missing in recordings, but for those that were left out on purpose.
-
-    Raises:
-        RecordingError: a file can't be read any more.
-    """
-    return sum(describe(recording).missing for recording in recordings)
 
 
 class _Reading:

@@ -28,7 +28,9 @@ class Recovered(msgspec.Struct, frozen=True, kw_only=True):
     complete: bool
     """Whether the file had been finished by its recorder."""
     messages: int
-    """Saved, with what was derived for viewers."""
+    """Saved."""
+    viewer_messages: int
+    """Saved of what was derived for viewers."""
     chunks: int
     lost_bytes: int
     """Of the file: what could not be read."""
@@ -60,7 +62,7 @@ def recover(file: Path, out: Path | None = None, scenario_json: bytes | None = N
     target = out or beside(file, "recovered")
     prefix = metadata[METADATA_NAME].get("prefix", "")
     lost = list(layout.damage)
-    chunks = 0
+    chunks = drawn = 0
     homeless: Counter[int] = Counter()
     topics: dict[int, str] = {}
     with Rewriter(target, metadata, attachments) as writer, open_file(file) as source:
@@ -80,6 +82,7 @@ def recover(file: Path, out: Path | None = None, scenario_json: bytes | None = N
                 if topic is None:
                     topic = topics[raw.channel] = topic_under(prefix, layout.channels[raw.channel].topic)
                 writer.add(layout, raw, topic)
+                drawn += not topic
         lost += [
             Damage(file, 0, 0, f"{count} messages are of channel {id}, of which nothing is known any more")
             for id, count in sorted(homeless.items())
@@ -94,7 +97,8 @@ def recover(file: Path, out: Path | None = None, scenario_json: bytes | None = N
             file=str(file),
             out=str(target),
             complete=layout.complete,
-            messages=writer.messages,
+            messages=writer.messages - drawn,
+            viewer_messages=drawn,
             chunks=chunks,
             lost_bytes=sum(damage.length for damage in lost),
             lost_chunks=len(layout.chunks) - chunks,

@@ -39,7 +39,8 @@ def recover(
     if as_json:
         typer.echo(msgspec.json.encode(found))
         return
-    typer.echo(f"saved: {found.messages} messages in {found.chunks} chunks")
+    drawn = f" and {found.viewer_messages} for viewers" if found.viewer_messages else ""
+    typer.echo(f"saved: {found.messages} messages{drawn} in {found.chunks} chunks")
     for line in found.lost[:_SHOWN]:
         typer.echo(f"lost: {line}")
     if len(found.lost) > _SHOWN:
