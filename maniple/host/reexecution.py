@@ -27,8 +27,8 @@ HISTORY: Duration = 10 * SECOND
 
 _HOSTS = (Journal, Decisions, LinkReports)
 
-Own = Callable[[Recorded, Header], None]
-"""Is shown what was recorded under the node's name, of any of its lives."""
+See = Callable[[Recorded, Header], None]
+"""Is shown a recorded message."""
 
 
 class Life(msgspec.Struct, frozen=True):
@@ -66,6 +66,8 @@ class Step(msgspec.Struct, frozen=True, gc=False):
     index: int
     """Of the call within its life, from 0."""
     call: Call
+    recorded_ns: Time
+    """Log time of the journal it is in."""
     sent: tuple[Envelope, ...]
     """What it sent, as it would be on the wire."""
     told: Mapping[str, int]
@@ -86,25 +88,72 @@ class LackingError(RecordingError):
         """None where the journal itself can't be read."""
 
 
+class Tape:
+    """Reads a recording once, for all who want to see something of it."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        self.position: Time = -1
+        """Log time of the last message that was read."""
+        self._wants: list[tuple[Callable[[str], bool], See]] = []
+        self._by_topic: dict[str, tuple[See, ...]] = {}
+        self._records = recording.messages(lambda topic: bool(self._who_sees(topic)))
+
+    def show(self, wants: Callable[[str], bool], see: See) -> None:
+        """Show the messages of the topics that somebody `wants`, from the next one on, that have a header."""
+        self._wants.append((wants, see))
+        self._by_topic.clear()
+
+    def read(self) -> bool:
+        """Read one more message; False at the end.
+
+        Raises:
+            RecordingError: the recording is damaged.
+        """
+        record = next(self._records, None)
+        if record is None:
+            self.position = 2**63
+            return False
+        self.position = record.log_time_ns
+        try:
+            header = header_of(record.topic, record.data)
+        except MessageError:
+            return True
+        for see in self._by_topic.get(record.topic) or self._who_sees(record.topic):
+            see(record, header)
+        return True
+
+    def _who_sees(self, topic: str) -> tuple[See, ...]:
+        found = self._by_topic[topic] = tuple(see for wants, see in self._wants if wants(topic))
+        return found
+
+
 class Inputs:
-    """What one life of a node was sent, read from the recording as it is needed.
+    """What one life of a node was sent, read from the recording as it is needed, or from a tape that is read
+    for several lives.
 
     Only what the node may still be given is kept: of each sender and topic it never takes an older message.
     `own` is shown what was recorded under the node's own name, in the order of the recording.
     """
 
     def __init__(
-        self, recording: Recording, life: Life, subscriptions: Collection[str], own: Own | None = None
+        self,
+        source: Recording | Tape,
+        life: Life,
+        subscriptions: Collection[str],
+        own: See | None = None,
     ) -> None:
-        self._recording = recording
+        self._tape = source if isinstance(source, Tape) else Tape(source)
         self._life = life
         self._subscriptions = subscriptions
-        self._own = own
-        self._records = recording.messages(self._is_wanted)
         self._waiting: dict[tuple[str, str], dict[tuple[int, int], tuple[bytes, ...]]] = {}
         began = life.journals[0].log_time_ns if life.journals else 0
         self._from: Time = began - HISTORY
-        self._position: Time = -1
+        self._closed = False
+        self._tape.show(subscriptions.__contains__, self._keep)
+        if own is not None:
+            self._own = own
+            self._tape.show(lambda topic: may_be_of(life.node, topic), self._show_own)
 
     def take(self, call: Call, journaled: Time) -> bytes:
         """The bytes of the message in a call, whose journal was recorded at the time `journaled`.
@@ -115,10 +164,14 @@ class Inputs:
         if call.data is not None:
             return call.data
         mark = call.incarnation, call.seq
-        stream = self._waiting.setdefault((call.name, call.source), {})
+        key = call.name, call.source
+        stream = self._waiting.get(key)
+        if stream is None:
+            stream = self._waiting[key] = {}
         until = journaled + LATE
-        while mark not in stream and self._position <= until:
-            if not self._read():
+        tape = self._tape
+        while mark not in stream and tape.position <= until:
+            if not tape.read():
                 break
         for data in stream.get(mark, ()):
             if zlib.crc32(data) == call.crc32:
@@ -137,39 +190,40 @@ class Inputs:
         Raises:
             RecordingError: it is damaged.
         """
-        while self._read():
-            self._waiting.clear()
+        self.close()
+        while self._tape.read():
+            pass
 
-    def _read(self) -> bool:
-        """Read one more message; False at the end."""
-        record = next(self._records, None)
-        if record is None:
-            self._position = 2**63
-            return False
-        self._position = record.log_time_ns
-        try:
-            header = header_of(record.topic, record.data)
-        except MessageError:
-            return True
-        if self._own is not None and header.source == self._life.node:
+    def close(self) -> None:
+        """Keep nothing more: the node has been given all."""
+        self._closed = True
+        self._waiting.clear()
+
+    def _keep(self, record: Recorded, header: Header) -> None:
+        """A message of a topic that the node has subscribed to."""
+        if self._closed:
+            return
+        key = record.topic, header.source
+        stream = self._waiting.get(key)
+        if stream is None:
+            stream = self._waiting[key] = {}
+        elif record.log_time_ns < self._from:
+            stream.clear()
+        mark = header.incarnation, header.seq
+        known = stream.get(mark)
+        if known is None:
+            stream[mark] = (record.data,)
+        elif record.data not in known:
+            stream[mark] = (*known, record.data)
+
+    def _show_own(self, record: Recorded, header: Header) -> None:
+        if header.source == self._life.node:
             self._own(record, header)
-        if record.topic in self._subscriptions:
-            stream = self._waiting.setdefault((record.topic, header.source), {})
-            if self._position < self._from:
-                stream.clear()
-            mark = header.incarnation, header.seq
-            known = stream.get(mark, ())
-            if record.data not in known:
-                stream[mark] = (*known, record.data)
-        return True
-
-    def _is_wanted(self, topic: str) -> bool:
-        return topic in self._subscriptions or (self._own is not None and may_be_of(self._life.node, topic))
 
     def _search(self, call: Call) -> bytes:
         """Look for a message in all of the recording."""
         found = set[int]()
-        for record in self._recording.messages(lambda topic: topic == call.name):
+        for record in self._tape.recording.messages(lambda topic: topic == call.name):
             try:
                 header = header_of(record.topic, record.data)
             except MessageError:
@@ -188,14 +242,14 @@ class Inputs:
         )
 
 
-def lives(recording: Recording, node: str | None = None) -> tuple[Life, ...]:
-    """All lives of all nodes, or of one, that have left a journal, by name and incarnation.
+def lives(recording: Recording, nodes: Collection[str] | None = None) -> tuple[Life, ...]:
+    """All lives of all nodes, or of some, that have left a journal, by name and incarnation.
 
     Raises:
         RecordingError: the recording is damaged.
     """
     found: dict[tuple[str, int], dict[int, list[Recorded]]] = {}
-    for record in recording.messages(lambda topic: _is_journal(topic, node)):
+    for record in recording.messages(lambda topic: _is_journal(topic, nodes)):
         name = record.topic.partition("/")[2]
         try:
             header = header_of(record.topic, record.data)
@@ -234,7 +288,7 @@ def reexecute(life: Life, node: Node, inputs: Inputs) -> Iterator[Step]:
                 sent = tuple(stamper.stamp(topic, said, call.now_ns) for topic, said in outgoing)
             except Exception as error:  # noqa: BLE001 - what a node does is what is looked at
                 raised = f"{type(error).__name__}: {error}"
-            yield Step(index, call, sent, journal.sent if place == last else {}, raised)
+            yield Step(index, call, record.log_time_ns, sent, journal.sent if place == last else {}, raised)
             index += 1
 
 
@@ -297,11 +351,12 @@ def _journal_in(record: Recorded) -> Journal:
     return journal
 
 
-def _is_journal(topic: str, node: str | None) -> bool:
+def _is_journal(topic: str, nodes: Collection[str] | None) -> bool:
     try:
-        return topics.topic(topic).type is Journal and node in (None, topic.partition("/")[2])
+        is_journal = topics.topic(topic).type is Journal
     except MessageError:
         return False
+    return is_journal and (nodes is None or topic.partition("/")[2] in nodes)
 
 
 def _forget(stream: dict[tuple[int, int], tuple[bytes, ...]], mark: tuple[int, int]) -> None:

@@ -3,7 +3,8 @@
 import zlib
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from heapq import heapify, heappop, heappush
 from itertools import islice, pairwise
 from statistics import median
 from typing import Any, Literal, NamedTuple
@@ -16,7 +17,7 @@ from maniple.core.errors import MessageError
 from maniple.core.messages import Call, Message, unpack_floats
 from maniple.core.node import Node
 from maniple.core.time import SECOND, Duration, Time, to_seconds
-from maniple.host.reexecution import Inputs, LackingError, Life, Step, lives, may_be_of, reexecute
+from maniple.host.reexecution import Inputs, LackingError, Life, Step, Tape, lives, may_be_of, reexecute
 from maniple.host.runner import FLUSH_PERIOD, HOST
 from maniple.recording.compare import EXACT, Tolerance, differences
 from maniple.recording.reader import Recorded, Recording
@@ -32,14 +33,17 @@ Verdict = Literal["identical", "within tolerance", "diverges", "unproved"]
 """Of a life: all that it sends again is recorded with the same bytes; or differs by no more than was allowed;
 or by more; or it can't be run again to where its journal ends."""
 
+Factory = Callable[[int], Node]
+"""Makes a node, given its incarnation."""
+
 Watch = Callable[[], None]
 """Is called now and then; may raise to end it."""
 
 _SHOWN = 10
 """Messages that are named in one line."""
 
-_WATCHED = 256
-"""Calls, or messages, in between."""
+_WATCHED = 4096
+"""Messages that are counted in between."""
 
 
 class Input(msgspec.Struct, frozen=True):
@@ -152,21 +156,31 @@ class Census(msgspec.Struct, frozen=True):
 
 def prove(
     recording: Recording,
-    node: str,
-    make: Callable[[int], Node],
+    makers: Mapping[str, Factory],
     tolerance: Tolerance = EXACT,
     trace: int = TRACE,
     watch: Watch = lambda: None,
 ) -> tuple[Proof, ...]:
-    """Run every life of a node again that has left a journal, and compare; `make` gives the node of a life.
+    """Run every life of some nodes again that has left a journal, and compare; `makers` gives for each name
+    what makes that node for a life. The recording is read once for all.
 
     Raises:
         RecordingError: the recording is damaged.
     """
-    return tuple(
-        _prove(recording, life, make(life.incarnation), tolerance, trace, watch)
-        for life in lives(recording, node)
-    )
+    tape = Tape(recording)
+    found = lives(recording, makers)
+    again = [_Again(tape, life, makers[life.node](life.incarnation), tolerance) for life in found]
+    due = [(life.journals[0].log_time_ns if life.journals else 0, index) for index, life in enumerate(found)]
+    heapify(due)
+    while due:
+        watch()
+        time, index = heappop(due)
+        stopped = again[index].run(min(due[0][0], time + SECOND) if due else time + SECOND)
+        if stopped is not None:
+            heappush(due, (stopped, index))
+    while tape.read():
+        pass
+    return tuple(one.proof(recording, tolerance, trace) for one in again)
 
 
 def census(recording: Recording, watch: Watch = lambda: None) -> Census:
@@ -363,44 +377,55 @@ class _Matcher:
             self.first = finding
 
 
-def _prove(
-    recording: Recording, life: Life, node: Node, tolerance: Tolerance, trace: int, watch: Watch
-) -> Proof:
-    matcher = _Matcher(life, tolerance)
-    inputs = Inputs(recording, life, node.subscriptions, matcher.recorded)
-    reason = life.broken
-    try:
-        for step in reexecute(life, node, inputs):
-            matcher.step(step)
-            if step.index % _WATCHED == 0:
-                watch()
-    except LackingError as error:
-        reason = f"call {error.index}: {error}"
-    inputs.drain()
-    unproved, tail, unrecorded = matcher.close(reason)
-    if not reason and tail > longest_tail(life):
-        reason = f"its journal ends {to_seconds(tail):.2f} s before its last message"
-    verdict: Verdict = "within tolerance" if matcher.near else "identical"
-    if matcher.first is not None:
-        verdict = "diverges"
-    elif reason:
-        verdict = "unproved"
-    return Proof(
-        node=life.node,
-        incarnation=life.incarnation,
-        verdict=verdict,
-        ended=life.ended,
-        calls=matcher.calls,
-        messages=matcher.same,
-        near=matcher.near,
-        differing=matcher.differing,
-        unproved=unproved,
-        unproved_s=to_seconds(tail),
-        unrecorded=unrecorded,
-        altered=matcher.altered,
-        reason=reason,
-        divergence=matcher.first and _divergence(recording, life, matcher.first, tolerance, trace),
-    )
+class _Again:
+    """One life of a node that is run again, some steps at a time."""
+
+    def __init__(self, tape: Tape, life: Life, node: Node, tolerance: Tolerance) -> None:
+        self._life = life
+        self._matcher = _Matcher(life, tolerance)
+        self._inputs = Inputs(tape, life, node.subscriptions, self._matcher.recorded)
+        self._steps = reexecute(life, node, self._inputs)
+        self._reason = life.broken
+
+    def run(self, until: Time) -> Time | None:
+        """Go on up to what was journaled `until` then; returns when the next journal was, None at the end."""
+        try:
+            for step in self._steps:
+                self._matcher.step(step)
+                if step.recorded_ns > until:
+                    return step.recorded_ns
+        except LackingError as error:
+            self._reason = f"call {error.index}: {error}"
+        self._inputs.close()
+        return None
+
+    def proof(self, recording: Recording, tolerance: Tolerance, trace: int) -> Proof:
+        """What came of it, after all of the recording has been read."""
+        life, matcher, reason = self._life, self._matcher, self._reason
+        unproved, tail, unrecorded = matcher.close(reason)
+        if not reason and tail > longest_tail(life):
+            reason = f"its journal ends {to_seconds(tail):.2f} s before its last message"
+        verdict: Verdict = "within tolerance" if matcher.near else "identical"
+        if matcher.first is not None:
+            verdict = "diverges"
+        elif reason:
+            verdict = "unproved"
+        return Proof(
+            node=life.node,
+            incarnation=life.incarnation,
+            verdict=verdict,
+            ended=life.ended,
+            calls=matcher.calls,
+            messages=matcher.same,
+            near=matcher.near,
+            differing=matcher.differing,
+            unproved=unproved,
+            unproved_s=to_seconds(tail),
+            unrecorded=unrecorded,
+            altered=matcher.altered,
+            reason=reason,
+            divergence=matcher.first and _divergence(recording, life, matcher.first, tolerance, trace),
+        )
 
 
 def _divergence(

@@ -8,7 +8,7 @@ from maniple.core import codec, topics
 from maniple.core.node import Outgoing
 from maniple.core.scenario.types import ClockError, Crash, Fault, Freeze
 from maniple.core.time import SECOND, Time
-from maniple.host.reexecution import Inputs, LackingError, Life, Step, lives, reexecute
+from maniple.host.reexecution import Inputs, LackingError, Life, Step, Tape, lives, reexecute
 from maniple.recording.reader import Recorded, read
 from tests.host.nodes import Answerer
 from tests.host.recorded import flipped, makers, record_run, rewrite, without
@@ -19,7 +19,7 @@ FAULTS = (Fault(loss=0.2, latency_s=0.05, jitter_s=0.05, duplicate=0.2, reorder=
 def steps_of(path: Path, name: str, incarnation: int = 1) -> list[Step]:
     """A life that is run again, to its end."""
     recording = read(path)
-    life = next(one for one in lives(recording, name) if one.incarnation == incarnation)
+    life = next(one for one in lives(recording, [name]) if one.incarnation == incarnation)
     node = makers()[name](incarnation)
     return list(reexecute(life, node, Inputs(recording, life, node.subscriptions)))
 
@@ -118,10 +118,10 @@ def test_an_input_may_be_recorded_long_after_and_twice(tmp_path: Path) -> None:
 
 def test_a_missing_journal_ends_what_can_be_run(tmp_path: Path) -> None:
     path = rewrite(record_run(tmp_path / "a.mcap"), tmp_path / "b.mcap", without("journal/r1", 3, 4))
-    (life,) = lives(read(path), "r1")
+    (life,) = lives(read(path), ["r1"])
     assert (life.begun, life.broken, len(life.journals)) == (True, "the recording lacks journal/r1 3-4", 3)
     begin = rewrite(tmp_path / "a.mcap", tmp_path / "c.mcap", without("journal/r1", 0))
-    (life,) = lives(read(begin), "r1")
+    (life,) = lives(read(begin), ["r1"])
     assert (life.begun, life.broken) == (False, "the recording lacks journal/r1 0")
 
 
@@ -142,7 +142,7 @@ def test_two_journals_of_one_number(tmp_path: Path) -> None:
         return (record, *flipped("journal/r1", 2)(record))
 
     path = rewrite(record_run(tmp_path / "a.mcap"), tmp_path / "b.mcap", change)
-    (life,) = lives(read(path), "r1")
+    (life,) = lives(read(path), ["r1"])
     assert life.broken == "journal/r1 2 is there 2 times, with different content"
 
 
@@ -163,7 +163,7 @@ class Fragile(Answerer):
 def test_a_node_that_fails_goes_on_to_its_stop(tmp_path: Path) -> None:
     path = record_run(tmp_path / "a.mcap")
     recording = read(path)
-    (life,) = lives(recording, "controller")
+    (life,) = lives(recording, ["controller"])
     node = Fragile()
     (failed,) = (
         step
@@ -177,7 +177,7 @@ def test_little_of_the_recording_is_kept(tmp_path: Path) -> None:
     """What the node will never take any more is dropped."""
     path = record_run(tmp_path / "a.mcap", duration_s=20)
     recording = read(path)
-    (life,) = lives(recording, "controller")
+    (life,) = lives(recording, ["controller"])
     inputs = Inputs(recording, life, Answerer(("r1", "r2")).subscriptions)
     most = 0
     for _ in reexecute(life, Answerer(("r1", "r2")), inputs):
@@ -186,7 +186,7 @@ def test_little_of_the_recording_is_kept(tmp_path: Path) -> None:
 
 
 def test_calls_are_in_order(tmp_path: Path) -> None:
-    (life,) = lives(read(record_run(tmp_path / "a.mcap")), "r1")
+    (life,) = lives(read(record_run(tmp_path / "a.mcap")), ["r1"])
     assert isinstance(life, Life)
     times = [(call.now_ns, recorded) for call, recorded in life.calls()]
     assert times == sorted(times)
@@ -198,3 +198,18 @@ def test_a_host_made_message_comes_from_the_journal(tmp_path: Path) -> None:
     told = [step.call for step in steps if step.call.name == topics.HOST_ALIVE]
     assert told
     assert all(call.data is not None for call in told)
+
+
+def test_a_tape_is_read_once_for_all(tmp_path: Path) -> None:
+    recording = read(record_run(tmp_path / "a.mcap", faults=FAULTS))
+    tape = Tape(recording)
+    steps = []
+    for life in lives(recording):
+        node = makers()[life.node](1)
+        steps.append(reexecute(life, node, Inputs(tape, life, node.subscriptions)))
+    together = [list(map(made_by, zip(one, strict=True))) for one in steps]
+    alone = [
+        [made_by([step]) for step in steps_of(tmp_path / "a.mcap", life.node)] for life in lives(recording)
+    ]
+    assert together == alone
+    assert not tape.read() or tape.position > 0

@@ -24,7 +24,7 @@ from maniple.host.verification import (
 from maniple.host.virtual import Factory
 from maniple.recording.compare import EXACT, Tolerance
 from maniple.recording.reader import Recorded, read
-from tests.host.nodes import Answerer, Reporter, odometry
+from tests.host.nodes import Reporter, odometry
 from tests.host.recorded import ROBOTS, flipped, makers, record_run, rewrite, without
 
 FAULTS = (Fault(loss=0.2, latency_s=0.05, jitter_s=0.05, duplicate=0.2, reorder=0.2, corrupt=0.2),)
@@ -37,8 +37,8 @@ def proved(
 ) -> dict[tuple[str, int], Proof]:
     """What comes of every life."""
     makes = factories or makers()
-    found = [prove(read(path), name, make, tolerance) for name, make in makes.items()]
-    return {(proof.node, proof.incarnation): proof for proofs in found for proof in proofs}
+    found = prove(read(path), makes, tolerance)
+    return {(proof.node, proof.incarnation): proof for proof in found}
 
 
 def problems(path: Path) -> list[str]:
@@ -362,7 +362,7 @@ def test_watching_may_end_it(run: Path) -> None:
         raise EnoughError
 
     with pytest.raises(EnoughError):
-        prove(read(run), "controller", lambda _: Answerer(ROBOTS), watch=watch)
+        prove(read(run), makers(), watch=watch)
 
 
 def test_a_long_tail_is_judged_by_the_pace_of_the_clock(tmp_path: Path) -> None:
@@ -377,5 +377,5 @@ def test_a_long_tail_is_judged_by_the_pace_of_the_clock(tmp_path: Path) -> None:
         publish = VIRTUAL_EPOCH + 10 * (record.publish_time_ns - VIRTUAL_EPOCH)
         return (record._replace(publish_time_ns=publish),) if record.topic == "journal/r1" else (record,)
 
-    (life,) = lives(read(rewrite(path, tmp_path / "c.mcap", faster)), "r1")
+    (life,) = lives(read(rewrite(path, tmp_path / "c.mcap", faster)), ["r1"])
     assert longest_tail(life) == 10 * LONGEST_TAIL

@@ -29,6 +29,9 @@ from maniple.recording.reader import Recording, read
 SMALL = 2 << 20
 """Bytes of a recording for which it is not worth to start processes."""
 
+CENTRAL = ("simulator", "controller")
+"""Nodes that have to do with all robots."""
+
 POLL_S = 0.2
 """How soon a request to stop is seen, and what was done is told."""
 
@@ -123,7 +126,8 @@ def _summed_up(
 ) -> Verification:
     problems = problems_of(said, proofs, nodes)
     metadata = recording.metadata
-    members = {*factories(recording.scenario)}
+    members = tuple(factories(recording.scenario))
+    rank = {name: place for place, name in enumerate(members)}
     return Verification(
         file=str(order.file),
         holds=not problems and all(proof.holds for proof in proofs),
@@ -131,7 +135,7 @@ def _summed_up(
         mode=metadata.get("mode", ""),
         duration_s=to_seconds(recording.end_ns - recording.start_ns),
         nodes=nodes,
-        lives=proofs,
+        lives=tuple(sorted(proofs, key=lambda one: (rank[one.node], one.incarnation))),
         problems=tuple(problems),
         notes=tuple(_notes(recording, nodes, said, proofs)),
         others=tuple(one for one in said.speakers if one.source not in members),
@@ -196,12 +200,9 @@ def _one_by_one(
         if stopped():
             raise StoppedError
 
-    proofs: list[Proof] = []
-    for done, node in enumerate(nodes):
-        on_progress(Progress(done, len(nodes)))
-        watch()
-        proofs += _prove(order, recording, node, watch)
-    return census(recording, watch), tuple(proofs)
+    on_progress(Progress(0, len(nodes)))
+    watch()
+    return census(recording, watch), _prove(order, recording, nodes, watch)
 
 
 def _side_by_side(
@@ -217,26 +218,39 @@ def _side_by_side(
     with ProcessPoolExecutor(count, context, _begin, (stop,)) as pool:
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # until they ignore them
         try:
-            work: dict[str, Future[tuple[Proof, ...]]] = {
-                node: pool.submit(_prove_here, order, node) for node in nodes
-            }
+            work = {group: pool.submit(_prove_here, order, group) for group in groups(nodes, count)}
             counting = pool.submit(_count_here, order)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         try:
             left: set[Future[Any]] = {counting, *work.values()}
             while left:
-                on_progress(Progress(sum(one.done() for one in work.values()), len(work)))
+                done = sum(len(group) for group, one in work.items() if one.done())
+                on_progress(Progress(done, len(nodes)))
                 left = wait(left, POLL_S, FIRST_COMPLETED).not_done
                 if stopped():
                     raise StoppedError
-            proofs = [proof for node in nodes for proof in work[node].result()]
+            proofs = [proof for one in work.values() for proof in one.result()]
             return counting.result(), tuple(proofs)
         except BrokenProcessPool:
             raise RunError("a process that ran nodes again died; --jobs 1 takes the least memory") from None
         finally:
             stop.set()
             pool.shutdown(cancel_futures=True)
+
+
+def groups(nodes: Sequence[str], count: int) -> list[tuple[str, ...]]:
+    """Nodes in up to `count` groups that take about as long: the simulator and the controller each do about
+    as much as all agents together."""
+    robots = sum(node not in CENTRAL for node in nodes)
+    loads = [(max(robots, 1) if node in CENTRAL else 1, node) for node in nodes]
+    found: list[list[str]] = [[] for _ in range(min(count, len(nodes)))]
+    work = [0] * len(found)
+    for load, node in sorted(loads, key=lambda one: -one[0]):
+        least = work.index(min(work))
+        found[least].append(node)
+        work[least] += load
+    return [tuple(group) for group in found]
 
 
 _stop: list[Event] = []
@@ -262,17 +276,19 @@ def _watch() -> None:
         raise StoppedError
 
 
-def _prove_here(order: Order, node: str) -> tuple[Proof, ...]:
-    return _prove(order, _opened(order.file), node, _watch)
+def _prove_here(order: Order, nodes: Sequence[str]) -> tuple[Proof, ...]:
+    return _prove(order, _opened(order.file), nodes, _watch)
 
 
 def _count_here(order: Order) -> Census:
     return census(_opened(order.file), _watch)
 
 
-def _prove(order: Order, recording: Recording, node: str, watch: Callable[[], None]) -> tuple[Proof, ...]:
-    make = factories(recording.scenario)[node]
-    return prove(recording, node, make, order.tolerance, order.trace, watch)
+def _prove(
+    order: Order, recording: Recording, nodes: Sequence[str], watch: Callable[[], None]
+) -> tuple[Proof, ...]:
+    makers = factories(recording.scenario)
+    return prove(recording, {node: makers[node] for node in nodes}, order.tolerance, order.trace, watch)
 
 
 @lru_cache(1)

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 import maniple
 from maniple.cli.loading import loads
 from maniple.cli.log.group import app
+from maniple.cli.log.proving import groups
 from maniple.core.errors import ArgumentError, ManipleError, RecordingError, ScenarioError
 from maniple.recording.reader import Recorded, read
 from tests.cli.scenes import SMALL, start
@@ -192,6 +193,14 @@ def test_what_is_no_recording(tmp_path: Path) -> None:
 def test_help_says_what_the_status_means() -> None:
     text = " ".join(CliRunner().invoke(app, ["verify", "--help"]).stdout.split())
     assert "Exit status: 0 all that they send is as recorded" in text
+
+
+def test_work_is_shared_out_evenly() -> None:
+    nodes = ("simulator", "controller", "r1", "r2", "r3", "r4")
+    assert groups(nodes, 1) == [nodes]
+    assert groups(nodes, 2) == [("simulator", "r1", "r3"), ("controller", "r2", "r4")]
+    assert groups(("r1", "r2"), 8) == [("r1",), ("r2",)]
+    assert groups(("simulator",), 2) == [("simulator",)]
 
 
 @pytest.mark.slow
