@@ -10,7 +10,7 @@ from typing import NamedTuple
 import msgspec
 
 from maniple.core import topics
-from maniple.core.errors import ArgumentError, ManipleError, RecordingError, RunError
+from maniple.core.errors import ArgumentError, RecordingError, RunError
 from maniple.core.time import SECOND, Time, to_seconds
 from maniple.host.clock import Anchor
 from maniple.host.inbox import BACKLOG
@@ -37,6 +37,7 @@ _LEAST = 1024
 """What a message counts at least, as an inbox counts."""
 
 _POLL_S = 0.05
+_LONGEST_WAIT_S = 3600.0
 _MOST_STEPS = 1_000_000
 _KEY = re.compile(r"[^/*$#?@][^/*$#?]*(/[^/*$#?@][^/*$#?]*)*")
 
@@ -131,7 +132,7 @@ class Player:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """The topics with orders that are not played, as nodes live there."""
+        """The topics that are not played, as nodes live there."""
         return tuple(name for name in self._recording.topics if self._is_selected(name) and self._held(name))
 
     def start(self) -> None:
@@ -222,7 +223,7 @@ class Player:
             self._ended_ns = time.monotonic_ns()
             if not self._stopping:
                 self._linger()
-        except ManipleError as error:
+        except Exception as error:  # noqa: BLE001 - it is raised by `wait`
             self._failure = self._failure or error
         finally:
             self._ended_ns = self._ended_ns or time.monotonic_ns()
@@ -262,7 +263,7 @@ class Player:
                 left = self._timeline.wait(message.log_time_ns, time.monotonic_ns())
                 if left == 0:
                     return True
-                self._changed.wait(None if left is None else left / SECOND)
+                self._changed.wait(None if left is None else min(left / SECOND, _LONGEST_WAIT_S))
         return False
 
     def _await_listeners(self) -> None:
@@ -305,7 +306,8 @@ class Player:
         found = recording.messages(self._takes, chosen.start_ns, chosen.end_ns)
         first = next(found, None)
         if first is None:
-            raise RecordingError(f"{recording.path}: no message of the topics and the time asked for")
+            where = f" that may be played where {_listed(self._others)} live" if self._others else ""
+            raise RecordingError(f"{recording.path}: no message of the topics and the time asked for{where}")
         for name in recording.topics:
             if self._takes(name) and not _KEY.fullmatch(name):
                 raise RecordingError(
@@ -322,9 +324,11 @@ class Player:
         return self._selection.takes(name)
 
     def _held(self, name: str) -> bool:
-        """Whether a topic is kept from nodes that live there: an order that nobody asked for by name."""
-        asked = any(matches(pattern, name) for pattern in self._selection.topics)
-        return bool(self._others) and is_order(name) and not asked
+        """Whether a topic is kept from nodes that live there, as nobody asked for it by name: an order, or
+        what one of them alone may say."""
+        if not self._others or any(matches(pattern, name) for pattern in self._selection.topics):
+            return False
+        return is_order(name) or (topics.has_one_sender(name) and topics.sender_of(name) in self._others)
 
     def _before(self) -> tuple[Recorded, ...]:
         """The latched values at the start."""

@@ -328,11 +328,11 @@ def test_no_node_that_lives_there_hears_anything(file: Path, router: str) -> Non
 @pytest.mark.parametrize(
     ("chosen", "left_out"),
     [
-        ((), ["hw/r1/drive", "platoon/stop", "robot/r1/command"]),
+        ((), ["hw/r1/drive", "platoon/stop", "robot/r1/command", "robot/r1/odometry"]),
         (("robot/**",), ["hw/r1/drive", "platoon/stop", "made/by/users"]),
     ],
 )
-def test_orders_reach_living_nodes_only_where_they_are_named(
+def test_orders_and_what_living_nodes_say_is_played_there_only_where_it_is_named(
     file: Path, router: str, chosen: tuple[str, ...], left_out: list[str]
 ) -> None:
     sent = [message for message in platoon() if message.topic not in left_out]
@@ -414,6 +414,28 @@ def test_what_can_not_be_played_is_said_first(
     path = record(tmp_path / "a.mcap", [message])
     with pytest.raises(RecordingError, match=text), playing(path, FAST, selection):
         pass
+
+
+def test_a_message_that_is_due_in_a_thousand_years_is_waited_for(tmp_path: Path) -> None:
+    times = (0, 2**63)
+    path = record(tmp_path / "a.mcap", [Recorded("hw/r1/drive", drive(0), at, at, 0) for at in times])
+    with playing(path, How(rate=0.01)) as (player, endpoint), ear(endpoint) as listener:
+        player.start()
+        eventually(lambda: listener.heard)
+        assert not player.wait(0.1)
+        player.stop()
+        assert ended(player).messages == 1
+
+
+def test_whatever_fails_is_no_end(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise ValueError("whatever")
+
+    with playing(file) as (player, _):
+        monkeypatch.setattr(ZenohSession, "put_in_order", fail)
+        player.start()
+        with pytest.raises(ValueError, match="whatever"):
+            eventually(lambda: player.wait(0.01))
 
 
 def test_damage_ends_it_with_the_place(tmp_path: Path) -> None:

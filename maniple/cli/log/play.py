@@ -85,8 +85,8 @@ def play(
         bool,
         typer.Option(
             "--onto-live-nodes",
-            help="Even where nodes live; what orders them (commands, drives, goals, stops, fault plans) is "
-            "left out unless a --topic names it.",
+            help="Even where nodes live. What orders them (commands, drives, goals, stops, fault plans), and "
+            "what they say themselves, is left out unless a --topic names it.",
         ),
     ] = False,
     as_json: Json = False,
@@ -208,6 +208,8 @@ def _run(player: "Player", recording: Recording, console: Console, where: str) -
         console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     say(f"plays {recording.path} onto {where}")
+    if not recording.complete:
+        say("the recording is not finished: it is played up to where it stops being whole")
     if player.left_out:
         say(f"left out, as nodes live there: {', '.join(player.left_out)}")
     with on_interrupt(interrupt), _keys() as pressed, _shown(console) as show:
