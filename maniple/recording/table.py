@@ -60,7 +60,11 @@ class Table(Mapping[str, NDArray[Any]]):
         return len(self.columns)
 
     def __repr__(self) -> str:
-        return f"<Table of {', '.join(self.topics) or 'no topics'}: {self.rows} rows of {', '.join(self)}>"
+        left_out = sum(self.unreadable.values())
+        told = f", without {left_out} invalid messages" if left_out else ""
+        return (
+            f"<Table of {', '.join(self.topics) or 'no topics'}: {self.rows} rows of {', '.join(self)}{told}>"
+        )
 
     @property
     def rows(self) -> int:

@@ -164,6 +164,8 @@ def test_invalid_messages_are_counted(tmp_path: Path) -> None:
     found = table(read(record(tmp_path / "a.mcap", sent)), messages.Drive)
     assert found.rows == 6
     assert found.unreadable == {"hw/r1/drive": 1}
+    assert repr(found).startswith("<Table of hw/r1/drive, hw/r2/drive: 6 rows of topic, robot, t_s")
+    assert repr(found).endswith(", v_mps, without 1 invalid messages>")
     assert found.topics == ("hw/r1/drive", "hw/r2/drive")
 
 
