@@ -4,18 +4,22 @@ Time counts from when the platoon set out: the controller had seen every robot. 
 same moment in every run of a scenario; real processes take their time to start.
 """
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
 
 from maniple.core.geometry import Floats, wrap_array
+from maniple.core.messages import Command
 from maniple.core.scenario.types import Scenario
+from maniple.recording.reader import Recording
 from maniple.report.comparison_tolerances import Tolerances
-from maniple.report.samples import Track
+from maniple.report.samples import Samples, Track, seconds
 from maniple.report.series import Series
 from maniple.report.summary import RunFigures, magnitudes
+from maniple.report.true_time import TrueTime, epoch_of
 
 ERRORS = ("position_m", "orientation_rad", "distance_m", "angle_rad")
 """The four kinds of formation errors, the largest over the triangles."""
@@ -109,19 +113,36 @@ def scenario_changes(a: Scenario, b: Scenario) -> tuple[FieldChange, ...]:
     )
 
 
-def pairs_of(a: Series, b: Series) -> tuple[Pair, ...]:
-    """What moves in both runs, and what the controller made of it, over the time since each set out."""
-    sides = quantities(a), quantities(b)
+Quantities: TypeAlias = Mapping[str, tuple[tuple[str, ...], Track]]
+"""Fields and values over time, by name."""
+
+
+def pairs_of(a: Quantities, b: Quantities) -> tuple[Pair, ...]:
+    """The quantities of two runs side by side, without those that have other fields in each: commands for
+    another layer."""
     pairs = []
-    for name, (fields, _) in {**sides[0], **sides[1]}.items():
+    for name, (fields, _) in {**a, **b}.items():
+        if a.get(name, (fields,))[0] != fields:
+            continue
         none = Track(np.empty(0), np.empty((0, len(fields))))
-        pairs.append(Pair(name, fields, *(side[name][1] if name in side else none for side in sides)))
+        pairs.append(Pair(name, fields, *(side[name][1] if name in side else none for side in (a, b))))
     return tuple(pairs)
 
 
-def quantities(series: Series) -> Mapping[str, tuple[tuple[str, ...], Track]]:
-    """Fields and values over time by which a run is compared; what a recording does not hold is left out."""
+def quantities(recording: Recording, series: Series) -> Quantities:
+    """What moves in a run, what it was told to, and what the controller made of it, over the time since the
+    platoon set out; what a recording does not hold is left out.
+
+    Raises:
+        RecordingError: it is damaged.
+    """
     begin = set_out_s(series)
+    commands: defaultdict[str, Samples] = defaultdict(lambda: Samples(2))
+    layers: dict[str, tuple[str, ...]] = {}
+    true_time = TrueTime(series.scenario, epoch_of(recording))
+    for record, command in recording.decoded(Command):
+        layers[record.topic] = command_fields(command)
+        commands[record.topic].add(true_time.of(command).stamp_ns, command.values)
     found: dict[str, tuple[tuple[str, ...], Track]] = {
         "formation/error": (ERRORS, error_track([one.true for one in series.triangles])),
         "formation/estimate": (ERRORS, error_track([one.seen for one in series.triangles])),
@@ -135,11 +156,19 @@ def quantities(series: Series) -> Mapping[str, tuple[tuple[str, ...], Track]]:
             f"robot/{robot.id}/clearance": (("distance_m",), robot.clearance),
             f"robot/{robot.id}/command_age": (("latest_s", "largest_s"), robot.age),
         }
+    for topic, samples in sorted(commands.items()):
+        stamps, values = samples.arrays()
+        found[topic] = layers[topic], Track(seconds(stamps, series.begin), values)
     return {
         name: (fields, Track(track.t - begin, track.values))
         for name, (fields, track) in found.items()
         if len(track.t)
     }
+
+
+def command_fields(command: Command) -> tuple[str, str]:
+    """What the two values of a command are."""
+    return ("vx_mps", "vy_mps") if command.layer == "kinematics" else ("u_mps", "w_radps")
 
 
 def set_out_s(series: Series) -> float:

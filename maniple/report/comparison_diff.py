@@ -17,6 +17,7 @@ from maniple.report.comparison import (
     apart,
     outcome_rows,
     pairs_of,
+    quantities,
     scenario_changes,
 )
 from maniple.report.comparison_messages import TopicDifference, compared
@@ -72,7 +73,7 @@ def compare(
     """
     way = by or usual_way(a, b)
     series = series_of(a), series_of(b)
-    pairs = pairs_of(*series)
+    pairs = pairs_of(*(quantities(*both) for both in zip((a, b), series, strict=True)))
     outcome = outcome_rows(series[0].figures, series[1].figures, tolerances)
     over_time = tuple(apart(pairs, tolerances))
     messages: tuple[TopicDifference, ...] = ()

@@ -25,6 +25,7 @@ from maniple.report.comparison import (
     FieldChange,
     Pair,
     apart,
+    command_fields,
     scenario_changes,
 )
 from maniple.report.comparison_messages import MessageComparison, Side, TopicDifference
@@ -258,10 +259,10 @@ class Sides:
         except MessageError:
             return
         match message:
-            case Command(layer=layer, values=values):
+            case Command():
                 name = record.topic
-                self._fields[name] = ("vx_mps", "vy_mps") if layer == "kinematics" else ("u_mps", "w_radps")
-                self._samples[name, side].add(message.stamp_ns, values)
+                self._fields[name] = command_fields(message)
+                self._samples[name, side].add(message.stamp_ns, message.values)
             case Drive(u_mps=u, w_radps=w):
                 name = f"robot/{message.source}/drive"
                 self._fields[name] = ("u_mps", "w_radps")

@@ -16,6 +16,7 @@ from maniple.report.comparison import (
     error_track,
     outcome_rows,
     pairs_of,
+    quantities,
     scenario_changes,
     set_out_s,
 )
@@ -64,6 +65,13 @@ def test_what_only_one_has_is_not_the_same() -> None:
     late = track([5.0, 6.0], [1.0, 1.0])
     (row,) = apart([Pair("x", ("u_mps",), track([0.0, 1.0], [1.0, 1.0]), late)], Tolerances())
     assert (row.only, row.within, row.samples) == ("", False, 0)
+
+
+def test_commands_for_other_layers_are_not_compared() -> None:
+    some = track([0.0], [1.0], [0.0])
+    a = {"robot/r1/command": (("u_mps", "w_radps"), some), "robot/r2/command": (("u_mps", "w_radps"), some)}
+    b = {"robot/r1/command": (("vx_mps", "vy_mps"), some), "robot/r3/command": (("u_mps", "w_radps"), some)}
+    assert [pair.name for pair in pairs_of(a, b)] == ["robot/r2/command", "robot/r3/command"]
 
 
 def test_the_worst_triangle_counts() -> None:
@@ -125,7 +133,8 @@ def test_outcomes_are_judged_by_time(runs: tuple[Path, Path]) -> None:
 
 
 def test_time_counts_from_when_the_platoon_set_out(runs: tuple[Path, Path]) -> None:
-    series = series_of(read(runs[0]))
+    recording = read(runs[0])
+    series = series_of(recording)
     later = series._replace(
         phases=tuple(span._replace(begin=span.begin + 5, end=span.end + 5) for span in series.phases),
         robots=tuple(
@@ -133,7 +142,8 @@ def test_time_counts_from_when_the_platoon_set_out(runs: tuple[Path, Path]) -> N
         ),
     )
     assert set_out_s(later) == set_out_s(series) + 5
-    poses = [pair for pair in pairs_of(series, later) if pair.name.endswith("/pose")]
+    pairs = pairs_of(quantities(recording, series), quantities(recording, later))
+    poses = [pair for pair in pairs if pair.name.endswith("/pose")]
     assert len(poses) == 4
     assert all((row.largest or 0.0) < 1e-9 for row in apart(poses, Tolerances()))
 

@@ -105,7 +105,7 @@ def test_realtime_runs_are_compared_by_time(runs: tuple[Path, Path], tmp_path: P
 def test_pictures(runs: tuple[Path, Path], tmp_path: Path) -> None:
     result = diff(*runs, "--plot", tmp_path / "p", "--json")
     pictures = json.loads(result.stdout)["pictures"]
-    assert len(pictures) == 6
+    assert len(pictures) == 8
     assert all(Path(picture).stat().st_size > 1000 for picture in pictures)
 
 
