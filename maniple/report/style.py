@@ -63,12 +63,12 @@ LOOK: Any = {
 """Settings of matplotlib that hold while a figure is drawn and saved."""
 
 INJECTED: Mapping[FaultKind, tuple[str, dict[str, Any]]] = {
+    "killed": ("killed", {"facecolor": "#DADADA", "edgecolor": "#8C8C8C", "lw": 0.4}),
     "links": ("link faults", {"facecolor": "#FBEFD5", "edgecolor": "#E6CF9C", "lw": 0.4}),
     "partition": ("partition", {"facecolor": "#E3EEF7", "edgecolor": "#A9C6DD", "lw": 0.4, "hatch": "//"}),
     "frozen": ("frozen", {"facecolor": "#E8E0EC", "edgecolor": "#B9A3C4", "lw": 0.4, "hatch": "\\\\"}),
-    "killed": ("killed", {"facecolor": "#DADADA", "edgecolor": "#8C8C8C", "lw": 0.4}),
 }
-"""How what is injected is drawn."""
+"""How what is injected is drawn, the lowest first."""
 
 HANDLE_EM = 2.2 + 0.8 + 1.2
 """Width of what is beside a text in a legend: handle, gap, gap between columns."""
@@ -104,15 +104,19 @@ def save(figure: Figure, path: Path) -> None:
 
 def shade(axes: Iterable[Axes], injected: Sequence[Injected], end_s: float) -> list[Artist]:
     """Bands behind lines over time where faults were on, and the rows of their legend. What was on all the
-    time would be behind everything, and is left out."""
+    time would be behind everything, and is left out; of who was killed for good there is the moment."""
     axes = list(axes)
     rows: list[Artist] = []
-    passing = [one for one in injected if not lasts(one, end_s)]
+    passing = [
+        one._replace(end=one.begin) if one.kind == "killed" and one.end >= end_s else one
+        for one in injected
+        if not lasts(one, end_s)
+    ]
     for kind, (label, how) in INJECTED.items():
         spans = union(passing, kind)
         for one in axes:
             for begin, end in spans:
-                one.axvspan(begin, max(end, begin + 0.002 * end_s), zorder=0.3, **how)
+                one.axvspan(begin, max(end, begin + 0.002 * end_s), alpha=0.6, zorder=0.3, **how)
         if spans:
             rows.append(patch(label, **how))
     return rows
