@@ -155,7 +155,7 @@ def _add_recorder_options(command: ArgumentParser) -> None:
         metavar="SIZE",
         help="end in order before less than this is free on the disk (default: 200MB)",
     )
-    add("--no-viz", action="store_true", help="leave out the channels for viewers")
+    add("--no-viz", dest="viz", action="store_false", default=None, help="leave out the channels for viewers")
     add(
         "--keep-last",
         type=_seconds,

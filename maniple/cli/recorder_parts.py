@@ -9,7 +9,7 @@ from maniple.cli.recording_options import RecordingOptions
 from maniple.core.errors import RecordingError
 from maniple.core.scenario.parse import to_json
 from maniple.core.scenario.types import Scenario
-from maniple.core.time import from_seconds
+from maniple.core.time import Time, from_seconds
 from maniple.host.clock import Anchor
 from maniple.host.recorder import CHUNK_PERIOD
 from maniple.host.recorder_drawing import Drawing
@@ -88,12 +88,15 @@ def writer_of(
 
 
 def drawing_of(
-    scenario: Scenario, writer: PartsWriter | RollingWriter, options: RecordingOptions
+    scenario: Scenario,
+    writer: PartsWriter | RollingWriter,
+    options: RecordingOptions,
+    epoch_ns: Time | None = None,
 ) -> Drawing | None:
-    """What draws for viewers, if that is wanted."""
+    """What draws for viewers, unless that is not wanted; `epoch_ns` as for a `Viewer`."""
     if options.viz is False:
         return None
     from maniple.recording.viz import Viewer
 
-    viewer = Viewer(scenario)
+    viewer = Viewer(scenario, epoch_ns)
     return Drawing(viewer, (ViewerChannel(*channel) for channel in viewer.channels), writer)

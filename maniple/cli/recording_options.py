@@ -99,7 +99,7 @@ def options_of(
     topic: Sequence[str],
     without: Sequence[str],
     min_free: str | None,
-    no_viz: bool,
+    viz: bool | None,
 ) -> RecordingOptions:
     """The same from the options of a command line.
 
@@ -115,7 +115,7 @@ def options_of(
         topics=tuple(topic),
         without=tuple(without),
         min_free_bytes=LEAST_FREE if min_free is None else _size_of("--min-free", min_free),
-        viz=False if no_viz else None,
+        viz=viz,
     )
 
 

@@ -55,11 +55,11 @@ MinFree = Annotated[
         rich_help_panel=_RECORDING,
     ),
 ]
-NoViz = Annotated[
-    bool,
+Viz = Annotated[
+    bool | None,
     typer.Option(
-        "--no-viz",
-        help="Leave out the channels for viewers (in virtual time there are none).",
+        "--viz/--no-viz",
+        help="With channels for viewers, or without; by default with, and in virtual time without.",
         rich_help_panel=_RECORDING,
     ),
 ]
@@ -88,7 +88,7 @@ def run(
     topic: Topics = None,
     without: Without = None,
     min_free: MinFree = None,
-    no_viz: NoViz = False,
+    viz: Viz = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> None:
     """Run a scenario to the end of its task and record everything.
@@ -98,7 +98,7 @@ def run(
     from maniple.cli import api
     from maniple.cli.recording_options import options_of
 
-    recording = options_of(split_size, split_time, compression, topic or (), without or (), min_free, no_viz)
+    recording = options_of(split_size, split_time, compression, topic or (), without or (), min_free, viz)
     with LiveProgress(Console(stderr=True), scenario.stem) as show:
         result = api.run(
             scenario,

@@ -17,6 +17,7 @@ from maniple.core.scenario.check_faults import PROCESSES
 from maniple.core.scenario.parse import to_json
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import Time, from_seconds
+from maniple.host.recorder_drawing import Drawing
 from maniple.host.virtual import VirtualHost
 from maniple.recording.split import PartsWriter
 from maniple.recording.writer import Latched, RecordingWriter, part
@@ -45,6 +46,7 @@ def run_virtual(
     watch = ProgressWatch(scenario)
     takes = recording.selection.takes
     uses: dict[str, tuple[bool, bool]] = {}
+    drawing: Drawing | None = None
     interrupted = False
 
     def tap(envelope: Envelope, arrival: Time) -> None:
@@ -55,6 +57,8 @@ def run_virtual(
         taken, wanted = found
         if taken:
             writer.write(topic, envelope.data, arrival, envelope.stamp_ns, envelope.seq)
+            if drawing is not None:
+                drawing.draw(topic, envelope.data, arrival, 0)
         writer.tick(arrival)
         if wanted:
             message = codec.decode(topic, envelope.data)
@@ -89,12 +93,18 @@ def run_virtual(
         )
 
     with contextlib.closing(PartsWriter(begin, recording.splits)) as writer, on_interrupt(interrupt):
+        if recording.viz:
+            from maniple.cli.recorder_parts import drawing_of
+
+            drawing = drawing_of(scenario, writer, recording, host.now)
         host.start()
         host.run(host.now + from_seconds(time_limit_s(scenario, duration_s)))
         host.stop(["controller"])
         host.stop(robot.id for robot in scenario.robots)
         host.run(host.now + from_seconds(RUNDOWN_S))
         host.stop(["simulator"])
+    if drawing is not None and (text := drawing.summary()):
+        on_notice(text)
     return Outcome(summary.figures(), interrupted, tuple(writer.paths), {})
 
 

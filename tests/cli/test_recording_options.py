@@ -73,7 +73,7 @@ def test_the_recorder_gets_what_was_chosen(options: RecordingOptions) -> None:
     """By its own command line."""
     line = ["recorder", "--scenario", "-", "--log", "a.mcap", *options.arguments()]
     parsed = vars(_parser().parse_args(line))
-    names = ("split_size", "split_time", "compression", "topic", "without", "min_free", "no_viz")
+    names = ("split_size", "split_time", "compression", "topic", "without", "min_free", "viz")
     assert options_of(**{name: parsed[name] for name in names}) == options
 
 

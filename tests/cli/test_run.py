@@ -21,6 +21,7 @@ from maniple.cli.recording_options import RecordingOptions
 from maniple.core.errors import ArgumentError, RecordingError, ScenarioError
 from maniple.core.messages import Command
 from maniple.core.scenario.types import Scenario
+from maniple.recording.export_foxglove import export_foxglove
 from maniple.recording.reader import read
 from tests.cli.scenes import (
     ERRORS,
@@ -404,9 +405,28 @@ def test_a_run_of_processes_records_what_its_figures_are_made_of(small: Path, tm
     log = tmp_path / "a.mcap"
     with pytest.raises(ArgumentError, match="sim/truth must be recorded"):
         maniple.run(small, log=log, recording=RecordingOptions(without=("sim/*",)))
-    with pytest.raises(ArgumentError, match="viewer channels are not for virtual time"):
-        run_virtual(small, tmp_path, recording=RecordingOptions(viz=True))
     assert list(tmp_path.glob("*.mcap")) == []
+
+
+def test_a_virtual_run_can_draw_for_viewers(small: Path, tmp_path: Path, command: Maniple) -> None:
+    """The same messages as without, the same bytes again, and what an export derives from them."""
+    logs = {name: tmp_path / f"{name}.mcap" for name in ("a", "b", "bare", "exported")}
+    for name, options in (("a", ["--viz"]), ("b", ["--viz"]), ("bare", [])):
+        assert command("run", small, "--virtual", "--log", logs[name], *options)[0] == 0
+    assert logs["a"].read_bytes() == logs["b"].read_bytes()
+    bare = read(logs["bare"])
+    assert list(read(logs["a"]).messages()) == list(bare.messages())
+    export_foxglove(bare, logs["exported"])
+    drawn = {name: for_viewers(log) for name, log in logs.items()}
+    assert drawn["a"] == drawn["exported"] != []
+    assert drawn["bare"] == []
+
+
+def for_viewers(log: Path) -> list[tuple[str, int, bytes]]:
+    """What a file holds for viewers."""
+    with log.open("rb") as file:
+        found = [(channel.topic, m.log_time, m.data) for _, channel, m in make_reader(file).iter_messages()]
+    return [one for one in found if one[0].startswith("/viz/")]
 
 
 def test_progress_is_reported(tmp_path: Path) -> None:
