@@ -126,8 +126,8 @@ def test_a_realtime_recording_too(tmp_path: Path, pace: tuple[str, ...]) -> None
 
 def test_status_shows_the_platoon_of_the_recording(virtual: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    with process("log", "play", virtual, "--listen", endpoint, "--rate", "2", "--from", "1", "--loop"):
-        eventually(lambda: here(endpoint, "r1"))
+    with process("log", "play", virtual, "--listen", endpoint, "--rate", "0.3", "--from", "1"):
+        eventually(lambda: here(endpoint, "controller") and here(endpoint, "r1"))
         asked = start("status", "--connect", endpoint, "--json")
         out, problems = asked.communicate(timeout=60)
     state = json.loads(out)
