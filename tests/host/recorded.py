@@ -31,11 +31,11 @@ def record_run(
     scenario = scenario_with(**changes)
     makes = makers() if factories is None else factories
     nodes: list[Node] = [make(1) for make in makes.values()]
-    with _writer(path, scenario) as writer:
+    with writer(path, scenario) as file:
         host = VirtualHost(
             nodes,
             scenario,
-            lambda one, arrival: writer.write(one.topic, one.data, arrival, one.stamp_ns, one.seq),
+            lambda one, arrival: file.write(one.topic, one.data, arrival, one.stamp_ns, one.seq),
             makes,
         )
         host.start()
@@ -49,10 +49,10 @@ def rewrite(
 ) -> Path:
     """A recording with each message replaced by what `change` makes of it; `scenario` instead of its own."""
     before = read(path)
-    with _writer(to, scenario or before.scenario, before.metadata) as writer:
+    with writer(to, scenario or before.scenario, before.metadata) as file:
         for record in before.messages():
             for changed in change(record):
-                writer.write(*changed)
+                file.write(*changed)
     return to
 
 
@@ -74,5 +74,6 @@ def flipped(topic: str, seq: int, place: int = -1) -> Callable[[Recorded], Itera
     return change
 
 
-def _writer(path: Path, scenario: Scenario, metadata: Mapping[str, str] = METADATA) -> RecordingWriter:
+def writer(path: Path, scenario: Scenario, metadata: Mapping[str, str] = METADATA) -> RecordingWriter:
+    """An empty recording of a run of a scenario."""
     return RecordingWriter(path, to_json(scenario), metadata, prefix="maniple", now=VIRTUAL_EPOCH)

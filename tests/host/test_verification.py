@@ -9,8 +9,9 @@ from maniple.core import codec, topics
 from maniple.core.messages import Alive, EmergencyStop, Odometry
 from maniple.core.node import Outgoing, Received
 from maniple.core.scenario.types import ClockError, Crash, Fault, Freeze, Partition
-from maniple.core.time import VIRTUAL_EPOCH, Time
+from maniple.core.time import SECOND, VIRTUAL_EPOCH, Time
 from maniple.host.reexecution import lives, may_be_of
+from maniple.host.runner import NodeRunner
 from maniple.host.verification import (
     LONGEST_TAIL,
     Census,
@@ -24,8 +25,8 @@ from maniple.host.verification import (
 from maniple.host.virtual import Factory
 from maniple.recording.compare import EXACT, Tolerance
 from maniple.recording.reader import Recorded, read
-from tests.host.nodes import Reporter, odometry
-from tests.host.recorded import ROBOTS, flipped, makers, record_run, rewrite, without
+from tests.host.nodes import Reporter, odometry, scenario_with
+from tests.host.recorded import ROBOTS, flipped, makers, record_run, rewrite, without, writer
 
 FAULTS = (Fault(loss=0.2, latency_s=0.05, jitter_s=0.05, duplicate=0.2, reorder=0.2, corrupt=0.2),)
 
@@ -300,6 +301,25 @@ def test_a_node_that_fails_now(run: Path) -> None:
     first = divergence(proved(run, with_r1(lambda _: Failing(5)))["r1", 1])
     assert first.problem == "it fails when it is run again: ZeroDivisionError: by nothing"
     assert (first.kind, first.name) == ("timer", "report")
+
+
+def test_a_node_that_failed_in_the_run_as_it_does_now(tmp_path: Path) -> None:
+    """Its host stops it then, and so the next call is its stop."""
+    runner = NodeRunner(Failing(5), 1)
+    sent = runner.start(VIRTUAL_EPOCH)
+    for count in range(1, 5):
+        sent += runner.timer("report", VIRTUAL_EPOCH + count * SECOND)
+    with pytest.raises(ZeroDivisionError):
+        runner.timer("report", VIRTUAL_EPOCH + 5 * SECOND)
+    sent += runner.stop((), VIRTUAL_EPOCH + 6 * SECOND)
+    path = tmp_path / "a.mcap"
+    with writer(path, scenario_with()) as file:
+        for one in sent:
+            file.write(one.topic, one.data, one.stamp_ns, one.stamp_ns, one.seq)
+    found = proved(path, {"r1": lambda _: Failing(5)})["r1", 1]
+    assert (found.verdict, found.calls, found.messages) == ("identical", 7, 5)
+    assert proved(path, {"r1": lambda _: Failing(4)})["r1", 1].verdict == "diverges"
+    assert proved(path, {"r1": lambda _: Reporter("r1")})["r1", 1].verdict == "diverges"
 
 
 class Gullible(Reporter):
