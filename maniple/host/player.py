@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
+from itertools import chain
 from typing import NamedTuple
 
 import msgspec
@@ -331,9 +332,12 @@ class Player:
         return is_order(name) or (topics.has_one_sender(name) and topics.sender_of(name) in self._others)
 
     def _before(self) -> tuple[Recorded, ...]:
-        """The latched values at the start."""
+        """The latched values at the start: of a recording that begins in the middle, those from before it."""
+        held = (one for one in self._recording.latched if self._hands_over(one.topic))
+        attached = (Recorded(one.topic, one.data, one.log_time_ns, one.publish_time_ns, 0) for one in held)
         start = self._selection.start_ns
-        return () if start is None else latched(self._recording.messages(self._hands_over, None, start))
+        earlier = () if start is None else self._recording.messages(self._hands_over, None, start)
+        return latched(chain(attached, earlier))
 
     def _hands_over(self, name: str) -> bool:
         return is_latched(name) and self._takes(name)

@@ -5,12 +5,11 @@ from pathlib import Path
 
 import msgspec
 
-from maniple.core import topics
-from maniple.core.errors import MessageError
 from maniple.recording.absence import CUT_NAME, cuts_of
 from maniple.recording.reader import Recording
 from maniple.recording.rewrite import Rewriter, beside
 from maniple.recording.selection import Selection
+from maniple.recording.split import is_latched
 from maniple.recording.tally import GAPS_NAME
 from maniple.recording.writer import METADATA_NAME, Latched, attachment_of
 
@@ -64,7 +63,7 @@ def latched_before(recording: Recording, selection: Selection) -> tuple[Latched,
     found = {one.topic: one for one in recording.latched if selection.takes(one.topic)}
     if (start := selection.start_ns) is not None:
         for entry in recording.messages(
-            lambda name: _is_latched(name) and selection.takes(name), end_ns=start
+            lambda name: is_latched(name) and selection.takes(name), end_ns=start
         ):
             found[entry.topic] = Latched(entry.topic, entry.data, entry.log_time_ns, entry.publish_time_ns)
     return tuple(found[name] for name in sorted(found))
@@ -89,10 +88,3 @@ def _metadata_of(recording: Recording, selection: Selection) -> Mapping[str, Map
     cuts = [*cuts_of(metadata.get(CUT_NAME, {})), selection]
     metadata[CUT_NAME] = {"cuts": msgspec.json.encode(cuts).decode()}
     return metadata
-
-
-def _is_latched(topic: str) -> bool:
-    try:
-        return topics.topic(topic).latched
-    except MessageError:
-        return False

@@ -20,6 +20,7 @@ from maniple.host.clock import Anchor
 from maniple.host.joining import claim, clock_of
 from maniple.host.player import How, Player, Playing
 from maniple.host.router import RouterHost
+from maniple.recording.cut import cut
 from maniple.recording.reader import Recorded, read
 from maniple.recording.selection import Selection
 from maniple.transport.zenoh import ZenohSession
@@ -243,6 +244,21 @@ def test_from_the_middle_what_is_latched_comes_first(file: Path) -> None:
     before = [sent[0], sent[1 + 19 * 4]]
     assert listener.heard == pairs([*before, *(m for m in played if m.topic != "made/by/users")])
     assert found.position_s == pytest.approx(1.45)
+
+
+def test_a_recording_that_begins_in_the_middle_has_what_is_latched_attached(
+    file: Path, tmp_path: Path
+) -> None:
+    """Cut out of another, or written by a recorder that came late."""
+    start = VIRTUAL_EPOCH + SECOND
+    half = tmp_path / "cut.mcap"
+    cut(read(file), Selection(start, start + SECOND // 2, without=("made/**",)), half)
+    with playing(half, FAST) as (player, endpoint), ear(endpoint) as listener:
+        player.start()
+        ended(player)
+        eventually(lambda: len(listener.heard) == 32)
+    sent = platoon()
+    assert listener.heard[:2] == pairs([sent[0], sent[1 + 19 * 4]])
 
 
 def test_the_last_value_is_known_before_it_goes_on(file: Path) -> None:
