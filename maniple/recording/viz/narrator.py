@@ -6,10 +6,13 @@ from typing import Any, NamedTuple
 from maniple.core import happenings
 from maniple.core.happenings import Happening
 from maniple.core.messages import EmergencyStop, FaultPlan, FormationState, Goal, Message, Status, Truth
-from maniple.core.time import Time, from_seconds
+from maniple.core.time import SECOND, Duration, Time, from_seconds
 
 _BAD_MODES = ("emergency", "fault")
 _UNEASY_MODE = "holding"
+
+_GRACE: Duration = SECOND
+"""What began no longer than this before the first message is told with it."""
 
 
 class Line(NamedTuple):
@@ -31,6 +34,7 @@ class Narrator:
         self._stopped_by: tuple[str, int] | None = None
         self._goal: str | None = None
         self._told: set[tuple[float, str]] = set()
+        self._since: Time | None = None
         self._to_come: list[tuple[Time, float, str]] = []
         self._handlers: Mapping[type[Message], Callable[[Any], Iterable[Line]]] = {
             FormationState: self._on_state,
@@ -49,11 +53,14 @@ class Narrator:
         return () if handler is None else handler(message)
 
     def due(self, now: Time) -> Iterator[Line]:
-        """Faults that have begun."""
+        """Faults that have begun; not those from before it was asked for the first time."""
+        if self._since is None:
+            self._since = now - _GRACE
         while self._to_come and self._to_come[0][0] <= now:
-            _, at_s, what = self._to_come.pop(0)
+            began, at_s, what = self._to_come.pop(0)
             self._told.add((at_s, what))
-            yield Line("faults", Happening(what, "warning"))
+            if began >= self._since:
+                yield Line("faults", Happening(what, "warning"))
 
     def _on_state(self, state: FormationState) -> Iterator[Line]:
         before, self._state = self._state, state

@@ -80,6 +80,14 @@ def test_what_is_handed_over_again_is_told_once() -> None:
     ]
 
 
+def test_faults_from_before_are_not_told() -> None:
+    """In a part that was cut out of a recording."""
+    crashes = tuple(Crash(node="r2", at_s=at_s) for at_s in (2.0, 8.0))
+    narrator = Narrator(FaultPlan(since_ns=0, crashes=crashes))
+    assert list(narrator.due(7 * SECOND)) == []
+    assert [line.happening.what for line in narrator.due(8 * SECOND)] == ["r2 is killed"]
+
+
 def test_faults_are_told_as_they_begin() -> None:
     crash, freeze = Crash(node="r2", at_s=2.0), Freeze(node="r3", at_s=4.0, for_s=1.0)
     narrator = Narrator(FaultPlan(since_ns=SECOND, crashes=(crash,), freezes=(freeze,)))
