@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,22 @@ def process(*arguments: object) -> Iterator["subprocess.Popen[str]"]:
         child.communicate()
 
 
+@contextlib.contextmanager
+def play(log: Path, *options: str) -> Iterator[tuple["subprocess.Popen[str]", str]]:
+    """A play on a router of its own, and where that is; on another port where somebody took the first."""
+    for attempt in range(3):
+        endpoint = f"tcp/127.0.0.1:{free_port()}"
+        with process("log", "play", log, "--listen", endpoint, *options) as player:
+            assert player.stderr is not None
+            line = player.stderr.readline()
+            if "can't listen" in line and attempt < 2:
+                continue
+            assert line.startswith(f"plays {log} onto {endpoint}"), line
+            eventually(partial(here, endpoint, "router"))
+            yield player, endpoint
+            return
+
+
 def here(endpoint: str, node: str) -> bool:
     with ZenohSession.client(endpoint, "maniple") as session:
         return node in session.everyone()
@@ -61,17 +78,18 @@ def here(endpoint: str, node: str) -> bool:
 
 def played_and_recorded(log: Path, scenario: Path, again: Path, *options: str) -> dict[str, Any]:
     """Play a recording to a recorder that makes `again`; what the play says in the end."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    with process("log", "play", log, "--listen", endpoint, "--paused", "--json", *options) as player:
-        eventually(lambda: here(endpoint, "router"))
-        with process("recorder", "--scenario", scenario, "--connect", endpoint, "--log", again) as recorder:
-            eventually(lambda: here(endpoint, "recorder"))
-            told(endpoint, "resume")
-            out, problems = player.communicate(timeout=120)
-            assert player.returncode == 0, problems
-            recorder.send_signal(signal.SIGINT)
-            _, problems = recorder.communicate(timeout=60)
-            assert recorder.returncode == 0, problems
+    asked = ("recorder", "--scenario", scenario, "--log", again, "--connect")
+    with (
+        play(log, "--paused", "--json", *options) as (player, endpoint),
+        process(*asked, endpoint) as recorder,
+    ):
+        eventually(lambda: here(endpoint, "recorder"))
+        told(endpoint, "resume")
+        out, problems = player.communicate(timeout=120)
+        assert player.returncode == 0, problems
+        recorder.send_signal(signal.SIGINT)
+        _, problems = recorder.communicate(timeout=60)
+        assert recorder.returncode == 0, problems
     found: dict[str, Any] = json.loads(out)
     return found
 
@@ -125,8 +143,7 @@ def test_a_realtime_recording_too(tmp_path: Path, pace: tuple[str, ...]) -> None
 
 
 def test_status_shows_the_platoon_of_the_recording(virtual: Path) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    with process("log", "play", virtual, "--listen", endpoint, "--rate", "0.3", "--from", "1"):
+    with play(virtual, "--rate", "0.3", "--from", "1") as (_, endpoint):
         eventually(lambda: here(endpoint, "controller") and here(endpoint, "r1"))
         asked = start("status", "--connect", endpoint, "--json")
         out, problems = asked.communicate(timeout=60)
@@ -136,9 +153,8 @@ def test_status_shows_the_platoon_of_the_recording(virtual: Path) -> None:
 
 
 def test_an_interrupt_ends_it_with_what_was_played(virtual: Path) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
     for number in (signal.SIGINT, signal.SIGTERM):
-        with process("log", "play", virtual, "--listen", endpoint, "--json") as player:
+        with play(virtual, "--json") as (player, endpoint):
             eventually(lambda: here(endpoint, "r1"))
             assert told(endpoint, "status")["rate"] == 1.0
             player.send_signal(number)
@@ -151,22 +167,20 @@ def test_an_interrupt_ends_it_with_what_was_played(virtual: Path) -> None:
 
 
 def test_an_interrupt_while_a_listener_does_not_read(tmp_path: Path, virtual: Path) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
     script = tmp_path / "deaf.py"
     script.write_text(
         "import sys, time\n"
         "from maniple.transport.zenoh import ZenohSession\n"
-        f"with ZenohSession.client({endpoint!r}, 'maniple') as session:\n"
+        "with ZenohSession.client(sys.argv[1], 'maniple') as session:\n"
         "    session.subscribe('**', lambda *_: time.sleep(3600))\n"
         "    session.settle()\n"
         "    print('listens', flush=True)\n"
         "    sys.stdin.read()\n"
     )
     options = ("--as-fast-as-possible", "--loop", "--paused", "--json")
-    with process("log", "play", virtual, "--listen", endpoint, *options) as player:
-        eventually(lambda: here(endpoint, "router"))
+    with play(virtual, *options) as (player, endpoint):
         deaf = subprocess.Popen(
-            [sys.executable, script],
+            [sys.executable, script, endpoint],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
