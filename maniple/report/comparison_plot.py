@@ -17,7 +17,19 @@ from maniple.report import figures, style
 from maniple.report.comparison import Pair, difference
 from maniple.report.panels import line
 from maniple.report.samples import Track, band
-from maniple.report.style import BLUE, INK, MANY, RED, STRIPES, legend, look, panels, row, sheet
+from maniple.report.style import (
+    BLUE,
+    INK,
+    MANY,
+    RED,
+    STRIPES,
+    legend,
+    look,
+    panels,
+    row,
+    shared_limits,
+    sheet,
+)
 
 A_LOOK = {"color": BLUE, "ls": "-", "lw": 1.3, "alpha": 0.85}
 B_LOOK = {"color": RED, "ls": STRIPES[1], "lw": 0.9}
@@ -96,7 +108,8 @@ def formation(pairs: Sequence[Pair], names: tuple[str, str]) -> Figure | None:
         line(axes, a, column, **A_LOOK)
         line(axes, b, column, **B_LOOK)
         axes.set_ylabel(label)
-        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+        low, high = axes.get_ylim()
+        axes.set_ylim(min(0.0, low), 1.04 * high)
     for axes in grid[len(drawings) :]:
         axes.remove()
     if seen:
@@ -128,6 +141,8 @@ def _robots(told: Sequence[Pair], names: tuple[str, str]) -> Figure | None:
             line(axes, pair.b, column, **B_LOOK)
             axes.set_ylabel(_LABELS[pair.fields[column]])
         both[0].set_title(_robot(pair))
+    for column in range(2):
+        shared_limits([both[column] for both in grid], *_range(told, column), 0.02)
     legend(figure, _rows(names), 2)
     return figure
 
@@ -140,6 +155,7 @@ def _robots_together(told: Sequence[Pair], names: tuple[str, str]) -> Figure:
         for level in other.levels[[0, 2, 4]]:
             axes.plot(other.t, level, color=RED, lw=0.7, ls=STRIPES[1])
         axes.set_ylabel(_LABELS[told[0].fields[column]])
+        shared_limits([axes], *_range(told, column), 0.02)
     rows = style.band_rows(BLUE, f"of {len(told)} robots, A: {names[0]}")
     legend(figure, [*rows, row(f"B: {names[1]}: least, median, largest", **B_LOOK)], 2)
     return figure
@@ -160,11 +176,11 @@ def differences(pairs: Sequence[Pair], _: tuple[str, str]) -> Figure | None:
     drawings = [(label, rows) for label, rows in drawings if any((off > 0).any() for _, _, off in rows)]
     if not drawings:
         return None
-    figure = sheet(1.15 * len(drawings) + 0.8)
+    figure = sheet(1.2 * len(drawings) + 0.8)
     few = max(len(rows) for _, rows in drawings) <= MANY
     for (axes,), (label, rows) in zip(panels(figure, len(drawings)), drawings, strict=True):
         _draw_sizes(axes, rows, few)
-        axes.set_ylabel(f"|A - B|, {label}")
+        axes.set_title(f"|A - B|: {label}")
     known = list(dict.fromkeys(name for _, rows in drawings for name, _, _ in rows))
     handles: list[Artist] = [row(name, **look(index)) for index, name in enumerate(known)]
     legend(figure, handles if few else style.band_rows(INK, f"of {len(known)} robots"), 6)
@@ -181,6 +197,12 @@ _KINDS: tuple[tuple[str, str, Callable[[Sequence[Pair], tuple[str, str]], Figure
 
 def _told(pairs: Sequence[Pair], what: str) -> list[Pair]:
     return [pair for pair in pairs if pair.name.endswith(f"/{what}")]
+
+
+def _range(pairs: Sequence[Pair], column: int) -> tuple[float, float]:
+    """Least and largest value of a column on both sides, 0 among them."""
+    values = np.concatenate([side.values[:, column] for pair in pairs for side in (pair.a, pair.b)])
+    return float(np.nanmin(values, initial=0.0)), float(np.nanmax(values, initial=0.0))
 
 
 def _robot(pair: Pair) -> str:
