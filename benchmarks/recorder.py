@@ -44,19 +44,17 @@ def rows(quick: bool = False) -> list[Row]:
 
 
 def _platoon_rows(viz: bool, quick: bool) -> list[Row]:
-    """What thirty robots and a burst of ten times as much cost, and what of it is lost."""
+    """Thirty robots, then for some seconds ten times as much: what of it is lost, and what it costs."""
     load = measure(viz, quick)
     with tempfile.TemporaryDirectory() as folder:
         bare = partial(_record_bare, Path(folder) / "bare.mcap", load.messages, "zstd")
         reference = cpu_s(bare)
-    name = "30 robots, 10x burst" + (", viz" if viz else "")
-    count = len(load.messages)
+    name = f"burst{', viz' if viz else ''}"
+    each = 1e6 / len(load.messages)
     return [
-        Row(f"{name}: lost", load.lost, f"of {load.sent}", "nothing lost", None, LOST),
-        Row(
-            f"{name}: CPU", 1e6 * load.cpu_s / count, "us each", "bare, from memory", 1e6 * reference / count
-        ),
-        Row(f"{name}: memory", load.most_mb, "MB", "none: its process"),
+        Row(name, load.lost, "lost", f"of {load.sent:,} sent", None, LOST),
+        Row(f"{name}: a message", each * load.cpu_s, "us", "bare, from memory", each * reference),
+        Row(f"{name}: memory", load.most_mb, "MB", "at most, of the process"),
     ]
 
 

@@ -50,6 +50,19 @@ class LinkState(msgspec.Struct, frozen=True):
     refused: int
 
 
+class RecorderState(msgspec.Struct, frozen=True):
+    """One recorder."""
+
+    name: str
+    """Its computer and process."""
+    state: str
+    """recording, paused, rolling or keeping."""
+    reason: str
+    """Why it is paused."""
+    file: str
+    """What it writes, or wrote last."""
+
+
 class PlatoonState(msgspec.Struct, frozen=True):
     """What `--json` prints."""
 
@@ -75,6 +88,8 @@ class PlatoonState(msgspec.Struct, frozen=True):
     """What is injected, as `maniple fault show --json` has it."""
     robots: tuple[RobotState, ...]
     links: tuple[LinkState, ...]
+    recorders: tuple[RecorderState, ...] = ()
+    """Those that have answered."""
 
 
 def state_of(
@@ -84,6 +99,7 @@ def state_of(
     formation: FormationState | None,
     said: EmergencyStop | None,
     faults: dict[str, Any],
+    recorders: tuple[RecorderState, ...] = (),
 ) -> PlatoonState:
     """The platoon from what was just heard, by topic, and from what is latched."""
     stopped = said is not None and said.stopped
@@ -107,6 +123,7 @@ def state_of(
             for name in known.robots
         ),
         links=tuple(_links(heard)),
+        recorders=recorders,
     )
 
 

@@ -21,7 +21,7 @@ from maniple.cli.operator import (
     nodes_known,
     operator_session,
 )
-from maniple.cli.platoon_state import PlatoonState, state_of
+from maniple.cli.platoon_state import PlatoonState, RecorderState, state_of
 from maniple.core import codec, topics
 from maniple.core.errors import MessageError
 from maniple.core.messages import EmergencyStop, FaultPlan, FormationState, Message
@@ -33,6 +33,9 @@ GATHER_S = 1.5
 """How long is listened at most, in time of the run: everybody has said how it is by then."""
 LONGEST_S = 6.0
 """And by the wall clock, where the run is slow."""
+ANSWER_S = 1.0
+"""How long a recorder is given to say how it is, wall time."""
+RECORDER = "recorder"
 _PAUSE_S = 0.3
 
 Watch = Annotated[bool, typer.Option("--watch", help="Again and again, until interrupted.")]
@@ -135,4 +138,13 @@ def look(session: "ZenohSession", listener: Listener, connect: str = "") -> Plat
         formation if isinstance(formation, FormationState) else None,
         said if isinstance(said, EmergencyStop) else None,
         fault_text.report(plan if isinstance(plan, FaultPlan) else None, clock.now()),
+        _recorders(session) if RECORDER in known.alive else (),
     )
+
+
+def _recorders(session: "ZenohSession") -> tuple[RecorderState, ...]:
+    """What the recorders that are there do."""
+    from maniple.host.recorder_orders import Order, order_all
+
+    answers = order_all(session, Order("state"), ANSWER_S)
+    return tuple(RecorderState(one.recorder, one.state, one.reason, one.file) for one in answers)

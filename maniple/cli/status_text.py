@@ -60,6 +60,10 @@ def _heads(state: PlatoonState) -> Iterator[RenderableType]:
     if "controller" not in state.nodes:
         line.append("; no controller", style="red")
     yield line
+    for recorder in state.recorders:
+        if recorder.state != "recording":
+            why = f": {recorder.reason}" if recorder.reason else ""
+            yield Text(f"recorder {recorder.name} is {recorder.state}{why}", style="yellow")
     yield Text("faults: ").append(_faults(state))
 
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner, Result
 
 from maniple.cli import fault_text
 from maniple.cli.operator import Known
-from maniple.cli.platoon_state import PlatoonState, state_of
+from maniple.cli.platoon_state import PlatoonState, RecorderState, state_of
 from maniple.cli.program import app
 from maniple.cli.status_text import pairs, picture
 from maniple.core import codec, topics
@@ -129,6 +129,19 @@ def test_a_robot_that_is_not_there() -> None:
         "1 of 2 robots there, controller; not there: r2",
     ]
     assert text(gone)[5].startswith("r2     not there")
+
+
+def test_a_recorder_that_does_not_record_is_told() -> None:
+    recorders = (
+        RecorderState("a-1", "recording", "", "a.mcap"),
+        RecorderState("b-2", "paused", "lunch", "b.mcap"),
+        RecorderState("c-3", "rolling", "", ""),
+    )
+    assert text(msgspec.structs.replace(state(), recorders=recorders))[2:5] == [
+        "recorder b-2 is paused: lunch",
+        "recorder c-3 is rolling",
+        "faults: none",
+    ]
 
 
 def test_who_is_waited_for_is_told_once() -> None:

@@ -1,9 +1,10 @@
 """The recorder: what it writes down, what it keeps out, and what it holds for a router that comes back."""
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 
 import msgspec
 import pytest
@@ -32,14 +33,18 @@ MET: list[Death | Pause] = []
 
 @contextmanager
 def recorder(
-    endpoint: str, path: Path, clock: Anchor | None = None, takes: Callable[[str], bool] = lambda _: True
+    endpoint: str,
+    path: Path,
+    clock: Anchor | None = None,
+    takes: Callable[[str], bool] = lambda _: True,
+    writer: type[RecordingWriter] = RecordingWriter,
 ) -> Iterator[RecorderHost]:
     """A recorder in a thread of its own; the recording is whole at the end."""
     scenario = scenario_with()
-    writer = PartsWriter(lambda _: RecordingWriter(path, to_json(scenario), {}, prefix="test"))
-    with closing(writer), ZenohSession.client(endpoint, "test") as session:
+    parts = PartsWriter(lambda _: writer(path, to_json(scenario), {}, prefix="test"))
+    with closing(parts), ZenohSession.client(endpoint, "test") as session:
         host = RecorderHost(
-            writer,
+            parts,
             clock or Anchor.here(),
             [session],
             scenario,
@@ -212,3 +217,37 @@ def test_what_came_before_is_told_by_its_sender() -> None:
     assert late_text(tally.streams()) == (
         "came late: the first 9 messages are missing (3 of controller, 6 of r2)"
     )
+
+
+def test_a_disk_that_stands_still_holds_up_nobody(endpoint: str, tmp_path: Path) -> None:
+    """What arrives meanwhile waits in memory, and has the time at which it arrived."""
+    begun, stands, goes = Event(), Event(), Event()
+
+    class Disk(RecordingWriter):
+        def flush(self) -> None:
+            if begun.is_set():
+                stands.set()
+                assert goes.wait(DEADLINE_S)
+            super().flush()
+
+    path, heard = tmp_path / "a.mcap", list[bytes]()
+    with (
+        recorder(endpoint, path, writer=Disk),
+        ZenohSession.client(endpoint, "test") as node,
+        ZenohSession.client(endpoint, "test") as other,
+    ):
+        other.subscribe(TOPIC, lambda _, data: heard.append(data))
+        other.settle()
+        node.put(TOPIC, message(0))
+        begun.set()
+        assert stands.wait(DEADLINE_S)
+        for seq in range(1, 2000):
+            node.put(TOPIC, message(seq))
+            if seq % 200 == 0:
+                node.settle()  # faster, a busy network may drop some
+        eventually(lambda: len(heard) == 2000)
+        opened_ns = time.time_ns()
+        goes.set()
+    entries = [entry for entry in read(path).messages() if entry.topic == TOPIC]
+    assert [entry.sequence for entry in entries] == list(range(2000))
+    assert all(entry.log_time_ns < opened_ns for entry in entries)

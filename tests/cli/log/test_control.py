@@ -79,6 +79,12 @@ class Console:
             out, err = process.communicate(timeout=60)
         return process.returncode, out, err
 
+    def status(self) -> dict[str, Any]:
+        with start("status", "--connect", self._endpoint, "--prefix", "test", "--json") as process:
+            out, _ = process.communicate(timeout=60)
+        found: dict[str, Any] = json.loads(out)
+        return found
+
     def asked(self, *arguments: object) -> tuple[int, dict[str, Any]]:
         status, out, err = self.run(*arguments, "--json")
         assert err == ""
@@ -101,6 +107,8 @@ def test_paused_and_resumed(endpoint: str, console: Console, tmp_path: Path) -> 
         assert (one["state"], one["reason"]) == ("paused", "lunch")
         status, out, _ = console.run("pause")
         assert (status, "it is paused already" in out) == (1, True)
+        (told,) = console.status()["recorders"]
+        assert (told["state"], told["reason"], told["file"]) == ("paused", "lunch", str(tmp_path / "1.mcap"))
         console.hear(4)
         status, out, _ = console.run("resume")
         assert status == 0
