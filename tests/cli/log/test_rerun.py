@@ -7,9 +7,13 @@ import pytest
 from msgspec.structs import replace
 from typer.testing import CliRunner, Result
 
+import maniple
+from maniple.cli import realtime
 from maniple.cli.loading import loads
 from maniple.cli.log.group import app
 from maniple.cli.machine import describe_machine
+from maniple.cli.operator import publish
+from maniple.cli.progress import Progress
 from maniple.cli.virtual import run_virtual
 from maniple.core import codec, topics
 from maniple.core.envelope import Envelope, envelope_of
@@ -27,7 +31,10 @@ from maniple.core.scenario.types import Crash, Fault
 from maniple.core.time import SECOND, VIRTUAL_EPOCH, Time
 from maniple.recording.reader import read
 from maniple.recording.writer import RecordingWriter
+from maniple.transport.zenoh import ZenohSession
+from tests.cli.scenes import write
 from tests.report.recordings import SCENE, filtered, recorded
+from tests.transport.test_zenoh import free_port
 
 
 def rerun(*arguments: object) -> Result:
@@ -217,6 +224,33 @@ def test_a_run_by_the_wall_clock_is_moved_to_virtual_time(tmp_path: Path) -> Non
     assert [m.since_ns for m in plans] == [VIRTUAL_EPOCH] * 2
     ends = [max(r.publish_time_ns for r in one.messages()) for one in (read(log), again)]
     assert ends[0] == pytest.approx(ends[1], abs=SECOND // 10)
+
+
+@pytest.mark.slow
+def test_a_real_run_in_which_an_operator_spoke(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Open loop: the same bytes. Closed loop: the platoon holds as long after the start as it did."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    monkeypatch.setattr(realtime, "free_endpoint", lambda: endpoint)
+    words = [Goal(id="wait", hold=True), Goal(id="go", hold=False)]
+
+    def speak(progress: Progress) -> None:
+        if words and progress.task_time_s > 2.0 and (progress.phase == "holding") == (len(words) == 1):
+            with ZenohSession.client(endpoint, "maniple") as session:
+                publish(session, topics.FORMATION_GOAL, words.pop(0), 30.0)
+
+    log = tmp_path / "real.mcap"
+    assert maniple.run(write(tmp_path), speed=2.0, log=log, on_progress=speak).completed
+    assert not words
+    found = json.loads(rerun(log, "--json").stdout)
+    assert found["identical"]
+    assert found["complete"]
+    assert rerun(log, "--closed-loop", "--out", tmp_path / "again.mcap").exit_code == 0
+    runs = read(log), read(tmp_path / "again.mcap")
+    begin = next(m.since_ns for _, m in runs[0].decoded(FaultPlan))
+    said, again = ([(r.log_time_ns, m.id) for r, m in run.decoded(Goal)] for run in runs)
+    assert [name for _, name in again] == [name for _, name in said]
+    assert [at - VIRTUAL_EPOCH for at, _ in again] == pytest.approx([at - begin for at, _ in said], abs=2e6)
+    assert "holding" in {m.phase for _, m in runs[1].decoded(FormationState)}
 
 
 def _moved(source: Path, target: Path, by: int) -> Path:
