@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
-from maniple.core import codec
+from maniple.core import codec, topics
 from maniple.core.errors import ArgumentError
 from maniple.core.messages import Message
 
@@ -40,12 +40,15 @@ class Tolerance(msgspec.Struct, frozen=True):
 
 EXACT = Tolerance()
 
+ANY = "*"
+"""In the path of a field: the keys of a map, whatever they are."""
+
 
 def tolerance_of(texts: Sequence[str]) -> Tolerance:
     """The tolerance that options describe: each a number, for all floats, or FIELD=NUMBER.
 
     Raises:
-        ArgumentError: a text that is neither.
+        ArgumentError: a text that is neither, or a field that no message has.
     """
     everywhere, fields = 0.0, dict[str, float]()
     for text in texts:
@@ -56,6 +59,10 @@ def tolerance_of(texts: Sequence[str]) -> Tolerance:
             value = math.nan
         if not value >= 0.0 or (equals and not all(name.split("."))):
             raise ArgumentError(f"tolerance {text!r}: must be a number from 0 up, or FIELD=NUMBER (x_m=1e-6)")
+        if equals and not any(_stands_for(name, path) for path in _paths()):
+            raise ArgumentError(
+                f"tolerance {text!r}: no message has a field {name}; x_m and Odometry.ticks are some"
+            )
         if equals:
             fields[name] = value
         else:
@@ -141,9 +148,46 @@ class _Comparison:
 @lru_cache(4096)
 def _named(tolerance: Tolerance, kind: str, field: str) -> float | None:
     """What a tolerance says of a field by name; None where it says nothing."""
-    parts = (kind, *field.split("."))
-    for name, value in tolerance.fields:
-        wanted = tuple(name.split("."))
-        if any(parts[start : start + len(wanted)] == wanted for start in range(len(parts))):
-            return value
-    return None
+    path = (kind, *field.split("."))
+    return next((value for name, value in tolerance.fields if _stands_for(name, path)), None)
+
+
+def _stands_for(name: str, path: tuple[str, ...]) -> bool:
+    """Whether a name is for a field, given with all that it is in, from the message type on."""
+    parts = name.split(".")
+    return any(
+        all(there in (part, ANY) for part, there in zip(parts, path[start:], strict=False))
+        and (len(path) - start >= len(parts) or path[-1] == ANY)
+        for start, first in enumerate(path)
+        if first == parts[0]
+    )
+
+
+@cache
+def _paths() -> frozenset[tuple[str, ...]]:
+    """All fields of all messages, each with what it is in, from the message type on."""
+    kinds = tuple({row.type for row in topics.TOPICS})
+    found = msgspec.inspect.multi_type_info(kinds)
+    return frozenset(
+        path for kind, info in zip(kinds, found, strict=True) for path in _inside((kind.__name__,), info, ())
+    )
+
+
+def _inside(path: tuple[str, ...], info: Any, above: tuple[Any, ...]) -> Iterator[tuple[str, ...]]:
+    """The path of a field, and those of the fields in it."""
+    yield path
+    if isinstance(info, msgspec.inspect.Metadata):
+        yield from _inside(path, info.type, above)
+    elif isinstance(info, msgspec.inspect.VarTupleType | msgspec.inspect.ListType):
+        yield from _inside(path, info.item_type, above)
+    elif isinstance(info, msgspec.inspect.TupleType):
+        for item in info.item_types:
+            yield from _inside(path, item, above)
+    elif isinstance(info, msgspec.inspect.UnionType):
+        for kind in info.types:
+            yield from _inside(path, kind, above)
+    elif isinstance(info, msgspec.inspect.DictType | msgspec.inspect.AnyType):
+        yield (*path, ANY)
+    elif isinstance(info, msgspec.inspect.StructType) and info.cls not in above:
+        for field in info.fields:
+            yield from _inside((*path, field.name), field.type, (*above, info.cls))

@@ -146,7 +146,7 @@ def test_the_longest_name_that_fits_counts() -> None:
     assert [one[0] for one in found(STATE, state, "FormationState.task_time_s=1")] == [
         "roster[0].odometry_age_s"
     ]
-    assert len(found(STATE, state, "Odometry.task_time_s=1")) == 2
+    assert len(found(STATE, state, "Odometry.x_m=1")) == 2
 
 
 def test_a_tolerance_in_arrays() -> None:
@@ -161,6 +161,19 @@ def test_a_tolerance_in_arrays() -> None:
 def test_what_is_no_tolerance(text: str) -> None:
     with pytest.raises(ArgumentError, match="must be a number from 0 up, or FIELD=NUMBER"):
         tolerance_of([text])
+
+
+@pytest.mark.parametrize(
+    "name", ["x_m", "Odometry.x_m", "counters", "counters.refused_old", "roster.odometry_age_s", "task.end"]
+)
+def test_a_field_that_there_is(name: str) -> None:
+    assert tolerance_of([f"{name}=1"]).fields == ((name, 1.0),)
+
+
+@pytest.mark.parametrize("name", ["xm", "Odometry.roster", "roster.x_m", "x_m.y_m", "Nothing.x_m", "x=1"])
+def test_a_field_that_no_message_has(name: str) -> None:
+    with pytest.raises(ArgumentError, match=f"no message has a field {name};"):
+        tolerance_of([f"{name}=1"])
 
 
 def test_options_become_a_tolerance() -> None:
