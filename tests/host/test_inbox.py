@@ -41,3 +41,14 @@ def test_a_flood_is_taken_out_in_parts() -> None:
     for _ in range(1000):
         inbox.arrived("a", b"")
     assert len(inbox.take(0.0)) < 500
+
+
+def test_how_much_waits_is_known() -> None:
+    inbox = Inbox()
+    assert inbox.waiting == 0
+    inbox.arrived("a", bytes(5000))
+    inbox.arrived("a", b"what is small counts as 1 KiB")
+    inbox.stop()
+    assert inbox.waiting == 5000 + 1024
+    inbox.take(0.0)
+    assert inbox.waiting == 0

@@ -15,6 +15,7 @@ from maniple.core.scenario.parse import to_json
 from maniple.core.time import SECOND
 from maniple.host.clock import Anchor
 from maniple.host.fate import Death, Pause
+from maniple.host.inbox import BACKLOG
 from maniple.host.recorder import MOST_STRANGE, RecorderHost, keys_of, late_text
 from maniple.host.router import RouterHost
 from maniple.recording.reader import read
@@ -251,3 +252,12 @@ def test_a_disk_that_stands_still_holds_up_nobody(endpoint: str, tmp_path: Path)
     entries = [entry for entry in read(path).messages() if entry.topic == TOPIC]
     assert [entry.sequence for entry in entries] == list(range(2000))
     assert all(entry.log_time_ns < opened_ns for entry in entries)
+
+
+def test_it_tells_who_plays_how_much_waits_in_it(endpoint: str, tmp_path: Path) -> None:
+    with recorder(endpoint, tmp_path / "a.mcap"), ZenohSession.client(endpoint, "test") as player:
+        answers = eventually(lambda: player.ask(f"{BACKLOG}/*"))
+        assert len(answers) == 1
+        player.put(TOPIC, message(0))
+        player.settle()
+        eventually(lambda: set(player.ask(f"{BACKLOG}/*").values()) == {b"0"})
