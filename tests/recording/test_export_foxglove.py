@@ -87,6 +87,21 @@ def test_the_same_recording_makes_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
 
 
+def test_a_recording_that_is_drawn_already_makes_the_same_bytes(tmp_path: Path) -> None:
+    for viz in (False, True):
+        export_foxglove(read(recorded(viz)), tmp_path / f"{viz}.mcap")
+    assert (tmp_path / "True.mcap").read_bytes() == (tmp_path / "False.mcap").read_bytes()
+
+
+def test_every_channel_of_a_recording_has_a_schema() -> None:
+    with recorded(viz=True).open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    names = {c.topic: summary.schemas[c.schema_id] for c in summary.channels.values()}
+    assert {"/viz/tf", "maniple/sim/truth"} <= names.keys()
+    assert all(schema.name and schema.data for schema in names.values())
+
+
 def test_a_part_knows_what_was_before(tmp_path: Path) -> None:
     recording = read(recorded())
     start = recording.start_ns + 4 * SECOND

@@ -132,11 +132,14 @@ def test_what_rerun_could_not_write_is_an_error(tmp_path: Path, monkeypatch: pyt
     assert not [*tmp_path.iterdir()]
 
 
-def test_rerun_draws_an_mcap_file_as_it_is(tmp_path: Path) -> None:
+@pytest.mark.parametrize("exported", [False, True], ids=["recording", "export"])
+def test_rerun_draws_an_mcap_file_as_it_is(tmp_path: Path, exported: bool) -> None:
     """Frames, poses, points and the text log; not the scenes and scans of Foxglove, which it has no drawing
     for."""
-    export_foxglove(read(recorded()), tmp_path / "a.mcap")
-    found = chunks(McapReader(tmp_path / "a.mcap").stream())
+    log = tmp_path / "a.mcap" if exported else recorded(viz=True)
+    if exported:
+        export_foxglove(read(recorded()), log)
+    found = chunks(McapReader(log).stream())
     assert {"Transform3D:translation", "Transform3D:child_frame"} <= components(found["/viz/tf"])
     assert "Points3D:positions" in components(found["/viz/points/r1"])
     assert "InstancePoses3D:translations" in components(found["/viz/trajectory/r1"])

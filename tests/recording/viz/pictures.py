@@ -9,6 +9,7 @@ from tempfile import mkdtemp
 from typing import NamedTuple, TypeVar
 
 import maniple
+from maniple.cli.recording_options import RecordingOptions
 from maniple.core.messages import Message
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import VIRTUAL_EPOCH, Time
@@ -78,13 +79,13 @@ class Run(NamedTuple):
 
 
 @cache
-def recorded() -> Path:
-    """A recording of the scene in virtual time."""
+def recorded(viz: bool = False) -> Path:
+    """A recording of the scene in virtual time, with channels for viewers if asked."""
     folder = Path(mkdtemp())
     atexit.register(rmtree, folder)
     scene, log = folder / "drawn.toml", folder / "drawn.mcap"
     scene.write_text(SCENE)
-    maniple.run(scene, virtual=True, log=log, duration_s=8.0)
+    maniple.run(scene, virtual=True, log=log, duration_s=8.0, recording=RecordingOptions(viz=viz))
     return log
 
 
