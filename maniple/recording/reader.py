@@ -350,6 +350,8 @@ def read(path: str | Path) -> Recording:
             layout = _opened(path, len(layouts))
             if layouts and not _continues(layouts[0], layout, number):
                 break
+            if not layouts and number > 1 and layout.metadata[METADATA_NAME].get("part") != str(number):
+                first, number = path, 1
             layouts.append(layout)
         except NothingRecordedError as error:
             passed_over.append(error)
@@ -389,9 +391,7 @@ def _continues(first: Layout, later: Layout, number: int) -> bool:
     if first.attachments[SCENARIO_NAME].data != later.attachments[SCENARIO_NAME].data:
         return False
     was, now = first.metadata[METADATA_NAME], later.metadata[METADATA_NAME]
-    if was.get("anchor") != now.get("anchor"):
-        return False
-    return now["part"] == str(number) if "part" in now else now.get("mode") == "realtime"
+    return was.get("anchor") == now.get("anchor") and now.get("part") == str(number)
 
 
 def topic_under(prefix: str, key: str) -> str:

@@ -189,9 +189,11 @@ def open_file(path: Path) -> BinaryIO:
         RecordingError: it can't be.
     """
     try:
+        if path.is_fifo() or path.is_socket() or path.is_char_device():
+            raise RecordingError(f"can't read {path}: it is not a file; parts of it are read several times")
         return path.open("rb")
-    except OSError as error:
-        raise RecordingError(f"can't read {path}: {error.strerror}") from None
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"can't read {path}: {getattr(error, 'strerror', None) or error}") from None
 
 
 def read_chunk(

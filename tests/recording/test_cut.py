@@ -135,6 +135,20 @@ def test_nothing_is_left_of_a_cut_that_fails(tmp_path: Path) -> None:
         cut(recording, EVERYTHING, path)
 
 
+def test_nothing_is_left_of_a_cut_that_is_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = read(record(tmp_path / "a.mcap", traffic(60)))
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("maniple.recording.rewrite.Rewriter.flush", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        cut(recording, EVERYTHING)
+    assert [file.name for file in tmp_path.iterdir()] == ["a.mcap"]
+
+
 def test_other_attachments_are_kept(tmp_path: Path) -> None:
     recording = read(record(tmp_path / "a.mcap", traffic(3)))
     recording.layouts[0].attachments["x"] = Attachment(1, 2, "x", "text/plain", b"hello")

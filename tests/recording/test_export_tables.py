@@ -75,8 +75,9 @@ def test_all_parts_of_a_recording(tmp_path: Path) -> None:
         for message in sent[80:]
         if message.topic == "hw/r1/drive"
     ]
-    for path, messages in ((log, sent[:80]), (part(log, 2), later)):
-        with RecordingWriter(path, SCENARIO, {**METADATA, "mode": "realtime"}, prefix="maniple") as writer:
+    for number, messages in ((1, sent[:80]), (2, later)):
+        about = {**METADATA, "part": str(number)}
+        with RecordingWriter(part(log, number), SCENARIO, about, prefix="maniple") as writer:
             for message in messages:
                 writer.write(*message[:5])
     exported = export_csv(read(log), tmp_path / "out")
