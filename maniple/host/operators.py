@@ -24,7 +24,8 @@ class Course(NamedTuple):
     done: bool
     """Whether the task was done at the end."""
     lasted: Duration
-    """From the start of the run until its nodes were stopped, or were heard last."""
+    """From the start of the run until its nodes were stopped; where no journal says when that was, until the
+    controller was heard last, or anything."""
 
 
 def course_of(recording: Recording) -> Course:
@@ -33,9 +34,10 @@ def course_of(recording: Recording) -> Course:
     Raises:
         RecordingError: it is damaged, or its scenario can't be read.
     """
-    said: list[tuple[Recorded, Message]] = []
+    said: dict[tuple[str, str, int, int], tuple[Recorded, Message]] = {}
     begin: Time | None = None
     first = last = 0
+    told: Time | None = None
     phase = ""
     stops: dict[str, Time] = {}
     for record in recording.messages():
@@ -47,18 +49,20 @@ def course_of(recording: Recording) -> Course:
             case FaultPlan(source=source) if source == ROUTER:
                 begin = message.since_ns if begin is None else begin
             case FormationState():
-                phase = message.phase
+                phase, told = message.phase, record.log_time_ns
             case Journal():
                 if message.calls and (last_call := message.calls[-1]).kind == "stop":
                     stops[message.source] = last_call.now_ns
             case None:
                 pass
             case _:
-                said.append((record, message))
+                identity = record.topic, message.source, message.incarnation, message.seq
+                said.setdefault(identity, (record, message))  # what is latched may be recorded again
     virtual = recording.metadata.get("mode") == "virtual"
     start = VIRTUAL_EPOCH if virtual else first if begin is None else begin
-    inputs = tuple(_moved(record, message, start, virtual) for record, message in said)
-    return Course(inputs, phase == "done", _end(recording, stops, start, last) - start)
+    inputs = tuple(_moved(record, message, start, virtual) for record, message in said.values())
+    end = _end(recording, stops, start, last if told is None else told)
+    return Course(inputs, phase == "done", end - start)
 
 
 _WORDS = frozenset({*FROM_ANYBODY, topics.FORMATION_STATE})

@@ -87,7 +87,7 @@ class FieldChange(msgspec.Struct, frozen=True):
 
 def outcome_rows(a: RunFigures, b: RunFigures, tolerances: Tolerances) -> tuple[FigureRow, ...]:
     """The figures of two runs, one by one; those that are ignored are left out."""
-    left, right = _flat(msgspec.to_builtins(a)), _flat(msgspec.to_builtins(b))
+    left, right = _leaves(msgspec.to_builtins(a)), _leaves(msgspec.to_builtins(b))
     rows = []
     for field in dict.fromkeys((*left, *right)):
         if tolerances.ignores(OUTCOME, field):
@@ -104,13 +104,7 @@ def outcome_rows(a: RunFigures, b: RunFigures, tolerances: Tolerances) -> tuple[
 
 def scenario_changes(a: Scenario, b: Scenario) -> tuple[FieldChange, ...]:
     """The fields in which two scenarios differ, in the order of the scenario."""
-    left, right = _flat(msgspec.to_builtins(a)), _flat(msgspec.to_builtins(b))
-    fields = dict.fromkeys((*left, *right))
-    return tuple(
-        FieldChange(field, left.get(field), right.get(field))
-        for field in fields
-        if left.get(field) != right.get(field) or (field in left) != (field in right)
-    )
+    return tuple(_changes(msgspec.to_builtins(a), msgspec.to_builtins(b), ""))
 
 
 Quantities: TypeAlias = Mapping[str, tuple[tuple[str, ...], Track]]
@@ -259,19 +253,31 @@ def _unwrapped(angles: Floats) -> Floats:
     return found
 
 
-def _flat(data: Any, path: str = "") -> dict[str, Any]:
-    """The leaves of builtins by their paths, as `--set` writes them; entries with an id are named by it, and
-    what is empty is a leaf."""
-    match data:
-        case dict() if data:
-            parts = data.items()
-        case (_, *_):
-            ids = [entry.get("id") if isinstance(entry, dict) else None for entry in data]
-            named = all(ids) and len(set(ids)) == len(ids)
-            parts = dict(zip(ids if named else range(len(data)), data, strict=True)).items()
-        case _:
-            return {path: data}
-    flat: dict[str, Any] = {}
-    for key, value in parts:
-        flat |= _flat(value, f"{path}.{key}" if path else str(key))
-    return flat
+def _leaves(data: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """What is in tables within tables, by dotted paths."""
+    found: dict[str, Any] = {}
+    for key, value in data.items():
+        found |= _leaves(value, f"{path}{key}.") if isinstance(value, dict) else {f"{path}{key}": value}
+    return found
+
+
+def _changes(a: Any, b: Any, path: str) -> Iterator[FieldChange]:
+    """In what two values differ, by paths as `--set` has them: entries with an id are named by it."""
+    one, other = _parts(a), _parts(b)
+    if one is None or other is None:
+        if a != b:
+            yield FieldChange(path, a, b)
+        return
+    for key in {**one, **other}:
+        yield from _changes(one.get(key), other.get(key), f"{path}.{key}" if path else key)
+
+
+def _parts(value: Any) -> Mapping[str, Any] | None:
+    """The entries of a table or a list by their names; None for what has none."""
+    if isinstance(value, dict):
+        return value
+    if not isinstance(value, list | tuple):
+        return None
+    ids = [entry.get("id") if isinstance(entry, dict) else None for entry in value]
+    named = all(ids) and len(set(ids)) == len(ids)
+    return {str(name): entry for name, entry in zip(ids if named else range(len(value)), value, strict=True)}

@@ -62,6 +62,7 @@ def test_times_count_from_the_plan_that_the_run_began_with(tmp_path: Path) -> No
             "faults/plan": PLAN,
             "formation/goal": GOAL,
             "faults/plan edited": EDIT,
+            "formation/goal again": GOAL,
             "formation/state": STATE,
             "journal/controller": stop_of("controller", START + 12 * SECOND),
             "journal/r1": stop_of("r1", START + 13 * SECOND),
@@ -103,8 +104,11 @@ def test_the_end_is_told_by_a_clock_that_is_right(tmp_path: Path, node: str) -> 
 
 
 def test_without_a_last_word_the_end_is_what_was_heard_last(tmp_path: Path) -> None:
-    found = course(tmp_path, {"faults/plan": PLAN, "formation/state": STATE})
+    late = stop_of("simulator", START + 11 * SECOND)
+    found = course(tmp_path, {"faults/plan": PLAN, "formation/state": STATE, "journal/simulator": late})
     assert found.lasted == 10 * SECOND + LATE
+    (tmp_path / "a.mcap").unlink()
+    assert course(tmp_path, {"faults/plan": PLAN, "journal/simulator": late}).lasted == 11 * SECOND + LATE
 
 
 def test_a_plan_from_before_the_run_stays_one_from_before(tmp_path: Path) -> None:
