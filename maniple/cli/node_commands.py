@@ -272,6 +272,7 @@ def _recorder(
                 drawing=drawing_of(resolved, writer, options),
                 space=space,
                 keep_on_exit=keep_on_exit,
+                goes_on=next and writer.paths != [log],
             )
             if watch is _nobody:
                 end_when_asked(fleet, RECORDER, host.stop)

@@ -143,7 +143,13 @@ def notices(options: RecordingOptions, scenario: Scenario) -> list[str]:
     """What is to be said of a choice of topics before it is too late."""
     from maniple.host.recorder import keys_of
 
-    keys, selection = sorted(keys_of(scenario)), options.selection
+    robots = {robot.id for robot in scenario.robots}
+    keys = [
+        key
+        for key in sorted(keys_of(scenario))
+        if not key.startswith(("hw/", "robot/")) or key.split("/")[1] in robots
+    ]
+    selection = options.selection
     found = [
         f"{name} {pattern} matches no topic of the scenario's nodes: it is for others only"
         for name, patterns in (("--topic", options.topics), ("--without", options.without))

@@ -60,7 +60,7 @@ class RecorderHost:
 
     `takes` says which topics are recorded. `drawing` gets what was recorded, to draw it. `space` ends the
     recording before the disk is full. Of a `RollingWriter` the rest is written at the end only if
-    `keep_on_exit`.
+    `keep_on_exit`. It `goes_on` where an earlier recorder of the run has ended.
     """
 
     def __init__(
@@ -75,6 +75,7 @@ class RecorderHost:
         drawing: Drawing | None = None,
         space: Space | None = None,
         keep_on_exit: bool = False,
+        goes_on: bool = False,
     ) -> None:
         self._writer = writer
         self._clock = clock
@@ -87,6 +88,7 @@ class RecorderHost:
         self._drawing = drawing
         self._space = space
         self._keep_on_exit = keep_on_exit
+        self._goes_on = goes_on
         self._name = own_name()
         self._control = Control(self._name, writer, clock.now, space)
         self._store = LatchedStore()
@@ -240,8 +242,11 @@ class RecorderHost:
         """Say once what was said before the recorder came."""
         self._late_at = inf
         tally = self._writer.tally
-        if tally is not None and (late := late_text(tally.streams())):
-            say(late)
+        if tally is None or not (late := late_text(tally.streams())):
+            return
+        if self._goes_on:
+            late += "; what of them is in earlier parts is not counted: maniple log info tells"
+        say(late)
 
     def _tell(self) -> None:
         """Say what is not in the recording."""

@@ -109,7 +109,7 @@ class Control:
         writer = self._writer
         if not isinstance(writer, RollingWriter):
             text = "it records everything as it comes; --keep-last makes a recorder wait for this"
-            return self.answer(False, text)
+            return msgspec.structs.replace(self.answer(False, text), meant=False)
         now = self._now()
         try:
             if self._space is not None:

@@ -3,6 +3,7 @@
 import os
 import platform
 import re
+import secrets
 from collections.abc import Callable
 from typing import Literal, TypeAlias
 
@@ -30,13 +31,15 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     """What one recorder says to an order."""
 
     recorder: str
-    """Computer and process."""
+    """Its name: computer, process and a mark."""
     ok: bool
     """Whether it did what it was asked."""
     state: State
     """What it does now."""
     text: str
     """What it did, or why it did not."""
+    meant: bool = True
+    """Whether the order is for a recorder such as this."""
     file: str = ""
     """What it writes, or wrote, as the recorder calls it."""
     messages: int = 0
@@ -54,8 +57,10 @@ _read_answer = msgspec.json.Decoder(Answer).decode
 
 
 def own_name() -> str:
-    """This process among the recorders of a platoon, as a part of a key."""
-    return re.sub(r"[^A-Za-z0-9_-]", "-", f"{platform.node() or 'recorder'}-{os.getpid()}")
+    """A name that no other recorder of a platoon has, as a part of a key: computer, process and a mark, as
+    containers may share the first two."""
+    name = f"{platform.node() or 'recorder'}-{os.getpid()}-{secrets.token_hex(2)}"
+    return re.sub(r"[^A-Za-z0-9_-]", "-", name)
 
 
 def take_orders(

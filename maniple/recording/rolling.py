@@ -99,7 +99,7 @@ class RollingWriter:
         self._viewer_channels: list[ViewerChannel] = []
         self._messages = 0
         self._first: Time = 0
-        self._last: Time = 0
+        self._last: Time = -1
         self.paths: list[Path] = []
         """The files it has written, in order."""
 
@@ -166,8 +166,9 @@ class RollingWriter:
 
     @property
     def waiting(self) -> int:
-        """Messages in the ring."""
-        return sum(not entry.drawn for entry in self._ring.entries())
+        """Messages in the ring that are in no file."""
+        entries = self._ring.entries()
+        return sum(not entry.drawn and entry.log_time_ns > self._last for entry in entries)
 
     def keep(self, now: Time) -> Kept:
         """Write out what there is at this log time. What comes from then on is written too, until `end`.
@@ -188,7 +189,7 @@ class RollingWriter:
             for entry in self._ring.entries():
                 self._put(self._writer, entry)
             self.flush()
-        return Kept(self._writer.path, self._messages, self._first, self._last)
+        return self._kept(self._writer.path)
 
     def end(self) -> Kept | None:
         """Finish the file that is being written, if any.
@@ -200,11 +201,14 @@ class RollingWriter:
             return None
         self._writer = None
         finish(writer, self._tally)
-        return Kept(writer.path, self._messages, self._first, self._last)
+        return self._kept(writer.path)
 
     def close(self) -> None:
         """The same."""
         self.end()
+
+    def _kept(self, path: Path) -> Kept:
+        return Kept(path, self._messages, self._first, self._last if self._messages else 0)
 
     def _add(self, entry: Entry) -> None:
         self._ring.add(entry)

@@ -32,7 +32,7 @@ def keep(
 ) -> None:
     """Have a recorder that was started with --keep-last write those last seconds to a new file.
 
-    Says which file that is, on the recorder's computer. Exit status 0 if all recorders there did it, 1 if not
+    Says which file that is, on the recorder's computer. Exit status 0 if all such recorders did it, 1 if not
     or if there is none, 2 bad input.
     """
     from maniple.host.recorder_orders import Order
@@ -85,7 +85,7 @@ def _tell(order: "Order", connect: str, prefix: str, as_json: bool, timeout_s: f
                 if there
                 else "no recorder is there"
             )
-    ok = all(answer.ok for answer in answers)
+    ok = any(answer.ok for answer in answers) and all(answer.ok for answer in answers if answer.meant)
     if as_json:
         found = {"ok": ok, "order": order.what, "recorders": answers, "connect": connect}
         typer.echo(msgspec.json.encode(found).decode())

@@ -141,6 +141,19 @@ def test_kept_twice(endpoint: str, console: Console, tmp_path: Path) -> None:
     assert counts == [3, 7]
 
 
+def test_one_that_keeps_beside_one_that_records_everything(
+    endpoint: str, console: Console, tmp_path: Path
+) -> None:
+    folders = [tmp_path / name for name in ("all", "last")]
+    for folder in folders:
+        folder.mkdir()
+    with recorder(endpoint, folders[0], rolling=False), recorder(endpoint, folders[1], rolling=True):
+        console.hear(3)
+        status, found = console.asked("keep")
+    assert (status, found["ok"]) == (0, True)
+    assert sorted((one["ok"], one["meant"]) for one in found["recorders"]) == [(False, False), (True, True)]
+
+
 def test_no_recorder(console: Console) -> None:
     for command in ("keep", "pause", "resume"):
         status, out, err = console.run(command)
