@@ -37,8 +37,8 @@ def diff(
         By | None,
         typer.Option(
             help="What they are judged by: message by message, of the same topic, sender, life and number; "
-            "or outcome and quantities over time since the platoon set out. [default: message for two runs "
-            "in virtual time, else time]",
+            "or outcome and quantities over time since the platoon set out. By default message for two runs "
+            "in virtual time, else time.",
             show_default=False,
         ),
     ] = None,
@@ -52,7 +52,8 @@ def diff(
         ),
     ] = None,
     tolerances: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="TOML file of default, ignore and [tolerances].")
+        Path | None,
+        typer.Option(metavar="FILE", help="TOML file with default, ignore and a table of tolerances."),
     ] = None,
     ignore: Annotated[
         list[str] | None,

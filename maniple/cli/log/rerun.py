@@ -33,7 +33,7 @@ def rerun(
         list[str] | None,
         typer.Option(
             help="Only this node (r3, controller, simulator); may be repeated. "
-            "[default: controller and robots]",
+            "By default the controller and all robots.",
             show_default=False,
         ),
     ] = None,
@@ -47,7 +47,7 @@ def rerun(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="With --closed-loop: the new recording. [default: FILE-rerun beside FILE]",
+            help="With --closed-loop: the new recording; by default FILE-rerun beside FILE.",
             show_default=False,
         ),
     ] = None,
