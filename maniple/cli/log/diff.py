@@ -74,7 +74,7 @@ def diff(
 ) -> None:
     """Compare two recordings: scenarios, outcomes, quantities over time, messages field by field.
 
-    Exit status: 0 the same within the tolerances, 1 they differ, 2 bad input.
+    Exit status: 0 the same within the tolerances, 1 they differ, 2 bad input, 130 interrupted.
     """
     from maniple.recording.reader import read
     from maniple.report.comparison_diff import compare, draw, names_of, require_by_message, usual_way
