@@ -1,6 +1,7 @@
 # make run, make test: need Python 3.11 or newer with venv, nothing else.
 PYTHON ?= python3
 BIN := .venv/bin
+INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --editable
 
 COMPOSE = $(shell docker compose version >/dev/null 2>&1 && echo docker compose || echo docker-compose)
 LOCK = .venv/lock/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
@@ -8,7 +9,7 @@ LOCK = .venv/lock/bin/uv pip compile --quiet --universal --python-version 3.11 -
 
 .PHONY: run test check bench slow references docker lock clean
 
-run: .venv/installed
+run: .venv/usable
 	$(BIN)/maniple run scenarios/paper-simulation-1.toml --speed 3
 
 test: .venv/installed
@@ -42,9 +43,14 @@ lock: .venv/installed
 	$(LOCK) --upgrade pyproject.toml --output-file deploy/requirements.txt
 	echo hatchling | $(LOCK) --upgrade - --output-file deploy/requirements-build.txt
 
-.venv/installed: pyproject.toml
+.venv/usable: pyproject.toml
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(INSTALL) '.[report,planning,sweep,export]'
+	touch $@
+
+# What the tests need besides is large: viewers, other readers.
+.venv/installed: .venv/usable
+	$(INSTALL) '.[dev]'
 	touch $@
 
 clean:
