@@ -245,12 +245,11 @@ def _recorder(
     from maniple.host.recorder_space import Space
 
     options = options_of(**choices)
-    if keep_last is None:
-        if keep_on_exit:
-            raise ArgumentError("--keep-on-exit goes with --keep-last: without that, everything is kept")
-        require_free_name(log, next)
-    elif options.split_bytes or options.split_s:
+    if keep_last is None and keep_on_exit:
+        raise ArgumentError("--keep-on-exit goes with --keep-last: without that, everything is kept")
+    if keep_last is not None and (options.split_bytes or options.split_s):
         raise ArgumentError("--keep-last writes no parts: leave out --split-size and --split-time")
+    require_free_name(log, next or keep_last is not None)
     resolved, watch = _scenario(scenario)
     told = _clock(anchor)
     space = Space(log.parent, options.min_free_bytes)

@@ -19,11 +19,13 @@ from maniple.recording.writer import Latched, RecordingWriter, part
 
 
 def require_free_name(log: Path, next: bool) -> None:
-    """See that the file is not there, unless the `next` part of it will do.
+    """See that the file is not there, unless the `next` part of it will do, and that its folder is.
 
     Raises:
-        RecordingError: it is.
+        RecordingError: it can't be made.
     """
+    if not log.parent.is_dir():
+        raise RecordingError(f"can't create {log}: {log.parent} is not a directory")
     if log.exists() and not next:
         raise RecordingError(f"{log} exists already; a recording is never overwritten")
 

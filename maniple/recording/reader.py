@@ -336,7 +336,8 @@ class _Chosen(dict[int, Any]):
 
 def read(path: str | Path) -> Recording:
     """Open a recording: one file, or several parts. With LOG.mcap come LOG-2.mcap, LOG-3.mcap ... as far as
-    they are there and of the same run; with LOG-2.mcap, those after it.
+    they are there and of the same run; with LOG-2.mcap, those after it. A recorder steps over a file of
+    another recording, and so does this.
 
     Raises:
         RecordingError: it can't be opened, is not a recording made by maniple, or ends too early.
@@ -348,11 +349,10 @@ def read(path: str | Path) -> Recording:
     while not layouts or path.exists():
         try:
             layout = _opened(path, len(layouts))
-            if layouts and not _continues(layouts[0], layout, number):
-                break
             if not layouts and number > 1 and layout.metadata[METADATA_NAME].get("part") != str(number):
                 first, number = path, 1
-            layouts.append(layout)
+            if not layouts or _continues(layouts[0], layout, number):
+                layouts.append(layout)
         except NothingRecordedError as error:
             passed_over.append(error)
         number += 1

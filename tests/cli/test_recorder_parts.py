@@ -58,6 +58,8 @@ def test_a_file_that_is_there(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="exists already"):
         require_free_name(log, next=False)
     require_free_name(log, next=True)
+    with pytest.raises(RecordingError, match="is not a directory"):
+        require_free_name(tmp_path / "none" / "a.mcap", next=True)
     with pytest.raises(RecordingError, match="exists already"):
         writer_of(SCENARIO, log, False, CLOCK, EVERYTHING, None)
     with pytest.raises(RecordingError, match="No such file"):

@@ -338,6 +338,19 @@ def test_runs_of_one_scenario_are_not_parts_of_each_other(tmp_path: Path) -> Non
     assert read(part(log, 2)).paths == (part(log, 2),)
 
 
+def test_a_part_behind_a_file_of_another_recording(tmp_path: Path) -> None:
+    """A recorder that found its next name taken went on with the one after that."""
+    log, sent = tmp_path / "a.mcap", traffic(10)
+    parts(log, sent, [10, 20])
+    with RecordingWriter(tmp_path / "other.mcap", SCENARIO, METADATA, prefix="maniple") as writer:
+        writer.write(*sent[0])
+    part(log, 2).rename(tmp_path / "second.mcap")
+    (tmp_path / "other.mcap").rename(part(log, 2))
+    recording = read(log)
+    assert recording.paths == (log, part(log, 3))
+    assert list(recording.messages()) == [*sent[:10], *sent[20:]]
+
+
 def test_parts_without_a_message_are_passed_over(tmp_path: Path) -> None:
     log, sent = tmp_path / "a.mcap", traffic(12)
     parts(log, sent, [10, 20, 30])

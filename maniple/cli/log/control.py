@@ -32,8 +32,9 @@ def keep(
 ) -> None:
     """Have a recorder that was started with --keep-last write those last seconds to a new file.
 
-    Says which file that is, on the recorder's computer. Exit status 0 if all such recorders did it, 1 if not
-    or if there is none, 2 bad input.
+    Says which file that is, on the recorder's computer.
+
+    Exit status: 0 if all such recorders did it, 1 if not or if there is none, 2 bad input.
     """
     from maniple.host.recorder_orders import Order
 
@@ -51,7 +52,7 @@ def pause(
 ) -> None:
     """Have recorders write nothing until `maniple log resume`. When, and why, stands in the recording.
 
-    Exit status 0 if all recorders there did it, 1 if not or if there is none, 2 bad input.
+    Exit status: 0 if all recorders there did it, 1 if not or if there is none, 2 bad input.
     """
     from maniple.host.recorder_orders import Order
 
@@ -66,7 +67,7 @@ def resume(
 ) -> None:
     """Have paused recorders go on.
 
-    Exit status 0 if all recorders there did it, 1 if not or if there is none, 2 bad input.
+    Exit status: 0 if all recorders there did it, 1 if not or if there is none, 2 bad input.
     """
     from maniple.host.recorder_orders import Order
 
