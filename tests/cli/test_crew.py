@@ -21,6 +21,12 @@ from tests.cli.scenes import platoon
 class Fake:
     """A process as the supervisor sees it."""
 
+    said: tuple[str, ...] = ()
+
+    def news(self) -> tuple[str, ...]:
+        said, self.said = self.said, ()
+        return said
+
     def __init__(self, process: Process, _: bytes) -> None:
         self.process = process
         self.alive = True
@@ -132,6 +138,14 @@ def test_kept_alive_all_come_back_and_the_recorder_in_another_file(
     assert said[3:] == [f"{name} is started again (incarnation 2)" for name in ("r1", "r2", "r3")]
     with pytest.raises(RunError, match="simulator died; a run can't go on without it"):
         run.at(4.0, "simulator")
+
+
+def test_what_the_recorder_says_is_passed_on(run: Run) -> None:
+    run.child("recorder").said = ("only 299 MB are free in logs",)
+    run.child("r1").said = ("nobody hears",)
+    for _ in range(2):
+        run.crew.pass_on()
+    assert run.said == ["recorder: only 299 MB are free in logs"]
 
 
 def test_a_robot_that_somebody_else_brought_back_may_be_gone_again(run: Run) -> None:

@@ -62,6 +62,29 @@ def test_a_child_is_given_the_scenario_and_is_heard() -> None:
         assert "still runs" in made.epitaph()
 
 
+def test_what_a_child_says_is_news_once() -> None:
+    """Of one that fails it is for its epitaph."""
+    code = (
+        READ_LINE + "print('low disk', file=sys.stderr, flush=True); print(1, flush=True); sys.stdin.read()"
+    )
+    with child(code) as made:
+        assert eventually(lambda: list(made.news())) == ["low disk"]
+        assert list(made.news()) == []
+    with child(READ_LINE + "sys.exit('no disk')") as made:
+        eventually(lambda: not made.alive and "no disk" in made.epitaph())
+        assert list(made.news()) == []
+
+
+def test_a_flag_is_given_once() -> None:
+    process = Process("recorder", ("recorder", "--log", "a.mcap"))
+    assert process.also("--next").also("--next").arguments == (*process.arguments, "--next")
+
+
+def test_the_recorder_is_told_how_to_record() -> None:
+    stages = table(completed(platoon(3)), "c", "a", "l", ("--no-viz", "--split-time", "60"))
+    assert stages[1][0].arguments[-5:] == ("--log", "l", "--no-viz", "--split-time", "60")
+
+
 def test_a_child_that_says_nothing_is_not_waited_for_longer_than_asked() -> None:
     with child("import sys; sys.stdin.read()") as made:
         assert not made.spoke(0.01)
