@@ -128,7 +128,7 @@ def draw(pairs: tuple[Pair, ...], names: tuple[str, str], folder: Path) -> tuple
         raise MissingExtraError("--plot", "report") from None
     from maniple.report.comparison_plot import write
 
-    return tuple(str(path) for drawn in write(pairs, names, folder) for path in drawn.files)
+    return tuple(map(str, write(pairs, names, folder)))
 
 
 def require_by_message(by: By, **options: object) -> None:

@@ -1,9 +1,8 @@
 """Pictures of two runs side by side."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib import rc_context
@@ -49,34 +48,26 @@ _LABELS = {
 }
 
 
-class Drawn(NamedTuple):
-    """A picture that was written."""
-
-    title: str
-    files: tuple[Path, ...]
-    """PNG and SVG."""
-
-
-def write(pairs: Sequence[Pair], names: tuple[str, str], folder: Path) -> tuple[Drawn, ...]:
+def write(pairs: Sequence[Pair], names: tuple[str, str], folder: Path) -> tuple[Path, ...]:
     """Draw what there is to see and save each picture as PNG and SVG; `names` are those of A and B.
 
     Raises:
         ArgumentError: the folder is not one.
         ManipleError: they can't be written.
     """
-    drawn = []
+    drawn: list[Path] = []
     try:
         if folder.exists() and not folder.is_dir():
             raise ArgumentError(f"{folder} is not a folder; --plot must name one, or nothing that exists")
         folder.mkdir(parents=True, exist_ok=True)
-        for stem, title, draw in _KINDS:
+        for stem, draw in _KINDS.items():
             with rc_context(style.LOOK):
                 figure = draw(pairs, names)
             if figure is None:
                 for suffix in (".png", ".svg"):
                     (folder / f"{stem}{suffix}").unlink(missing_ok=True)
             else:
-                drawn.append(Drawn(title, figures.write(figure, folder / stem)))
+                drawn += figures.write(figure, folder / stem)
     except OSError as error:
         raise ManipleError(f"{folder}: can't write the pictures: {error.strerror or error}") from None
     return tuple(drawn)
@@ -187,12 +178,13 @@ def differences(pairs: Sequence[Pair], _: tuple[str, str]) -> Figure | None:
     return figure
 
 
-_KINDS: tuple[tuple[str, str, Callable[[Sequence[Pair], tuple[str, str]], Figure | None]], ...] = (
-    ("formation", "Formation errors, clearance and command age", formation),
-    ("commands", "Commands to the robots", commands),
-    ("drives", "Commands to the drives", drives),
-    ("differences", "Differences", differences),
-)
+_KINDS: Mapping[str, Callable[[Sequence[Pair], tuple[str, str]], Figure | None]] = {
+    "formation": formation,
+    "commands": commands,
+    "drives": drives,
+    "differences": differences,
+}
+"""What draws each picture, by the name of its files."""
 
 
 def _told(pairs: Sequence[Pair], what: str) -> list[Pair]:
