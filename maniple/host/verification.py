@@ -136,8 +136,11 @@ class Speaker(msgspec.Struct, frozen=True):
     messages: int
     of_host: int
     """Of these, what its host says: journals, counters of links, fault decisions."""
+    first_ns: Time
+    """When its first message was said, by its clock."""
+    last_ns: Time
     span_s: float
-    """From its first message to its last, by its clock."""
+    """From its first message to its last."""
     journaled: bool
 
 
@@ -228,15 +231,31 @@ def problems_of(census: Census, proofs: Collection[Proof], nodes: Collection[str
         which = ", ".join(census.changed[:_SHOWN]) + " ..." * (len(census.changed) > _SHOWN)
         found.append(f"{len(census.changed)} messages are not as the recorder wrote them: {which}")
     for one in census.speakers:
-        known = one.source not in nodes or (one.source, one.incarnation) in proved
-        if not known and one.span_s > to_seconds(LONGEST_TAIL):
+        if one.source not in nodes or (one.source, one.incarnation) in proved:
+            continue
+        who = f"{one.source} (life {one.incarnation})"
+        messages = one.messages - one.of_host
+        if one.span_s > to_seconds(LONGEST_TAIL):
+            found.append(f"{who}: the recording lacks its journal; {messages} messages are unproved")
+        elif (other := _out_of_order(one, census.speakers)) is not None:
+            order = "before" if one.incarnation < other.incarnation else "after"
             found.append(
-                f"{one.source} (life {one.incarnation}): the recording lacks its journal; "
-                f"{one.messages - one.of_host} messages are unproved"
+                f"{who}: it has no journal, and its messages ({messages}) were not said {order} those of "
+                f"life {other.incarnation}: it never was"
             )
     if not proofs:
         found.append("the recording lacks the journals of all nodes that were to be run again")
     return found
+
+
+def _out_of_order(one: Speaker, speakers: Sequence[Speaker]) -> Speaker | None:
+    """Another life of the same source, where the two did not follow each other as their numbers do."""
+    for other in speakers:
+        if other.source == one.source and other.incarnation != one.incarnation:
+            before, after = sorted((one, other), key=lambda life: life.incarnation)
+            if before.last_ns >= after.first_ns:
+                return other
+    return None
 
 
 class _Tally:
@@ -256,7 +275,16 @@ class _Tally:
 
     def speaker(self, source: str, incarnation: int) -> Speaker:
         span_s = to_seconds(self.last - self.first)
-        return Speaker(source, incarnation, self.messages, self.of_host, span_s, self.journaled)
+        return Speaker(
+            source,
+            incarnation,
+            self.messages,
+            self.of_host,
+            self.first,
+            self.last,
+            span_s,
+            self.journaled,
+        )
 
 
 class _Finding(NamedTuple):
@@ -281,6 +309,7 @@ class _Matcher:
         self._early: dict[tuple[str, int], list[Recorded]] = {}
         self._sums: dict[str, array[int]] = {}
         self._told: dict[str, int] = {}
+        self._now: Time = 0
         self._failed = ""
         self._miscounted = False
         self.same = self.near = self.differing = self.altered = 0
@@ -309,6 +338,7 @@ class _Matcher:
             self._find(_Finding(step.index - 1, f"it fails when it is run again: {self._failed}"))
         self._failed = step.raised
         self.calls = step.index + 1
+        self._now = call.now_ns
         self.altered += call.data is not None and call.source != HOST
         for one in step.sent:
             self._sums.setdefault(one.topic, array("L")).append(one.crc32)
@@ -330,11 +360,15 @@ class _Matcher:
         left = [record for records in self._early.values() for record in records]
         if self._failed:
             self._find(_Finding(self.calls - 1, f"it fails when it is run again: {self._failed}"))
-        if self._life.ended == "stopped" and not reason:
+        if not reason:
+            stopped, later = self._life.ended == "stopped", list[Recorded]()
             for record in sorted(left, key=lambda record: record.publish_time_ns):
+                if not stopped and record.publish_time_ns >= self._now:
+                    later.append(record)
+                    continue
                 problem = f"{record.topic} {record.sequence} is recorded, but it does not send it"
                 self._find(_Finding(self.calls - 1, problem, record.topic, record.sequence))
-            left = []
+            left = later
         last = max((record.publish_time_ns for record in left), default=0)
         journaled = self._life.journals[-1].publish_time_ns if self._life.journals else last
         return len(left), max(last - journaled, 0), len(self._made)

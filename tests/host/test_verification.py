@@ -228,7 +228,60 @@ def test_what_a_node_did_not_send(run: Path, tmp_path: Path) -> None:
     assert after.problem == "robot/r1/odometry 5 is recorded twice, once with what it does not send"
     path = rewrite(run, tmp_path / "d.mcap", forge(3, 0, life=2))
     assert proved(path)["r1", 1].holds
-    assert problems(path) == []  # one message: as of a life that was killed at once
+    assert problems(path) == [
+        "r1 (life 2): it has no journal, and its messages (1) were not said after those of life 1: "
+        "it never was"
+    ]
+
+
+@pytest.mark.parametrize("life", [0, 2])
+def test_a_life_that_never_was(run: Path, tmp_path: Path, life: int) -> None:
+    """A message under another life's name, and one of a life that was killed at once."""
+
+    def change(record: Recorded) -> Iterable[Recorded]:
+        if (record.topic, record.sequence) == ("robot/r1/odometry", 7):
+            said = msgspec.structs.replace(record.decode(), incarnation=life)
+            record = record._replace(data=codec.encode(said))
+        yield record
+
+    order = "after" if life else "before"
+    assert problems(changed(run, tmp_path, change)) == [
+        f"r1 (life {life}): it has no journal, and its messages (1) were not said {order} those of "
+        "life 1: it never was"
+    ]
+
+
+def test_a_life_that_was_killed_at_once(run: Path, tmp_path: Path) -> None:
+    last = [record for record in read(run).messages() if record.topic == "journal/r1"][-1]
+
+    def change(record: Recorded) -> Iterable[Recorded]:
+        yield record
+        if (record.topic, record.sequence) == (last.topic, last.sequence):
+            stamp = record.publish_time_ns + SECOND
+            said = odometry("r1", source="r1", incarnation=2, seq=0, stamp_ns=stamp)
+            yield Recorded("robot/r1/odometry", codec.encode(said), record.log_time_ns, stamp, 0)
+
+    assert problems(changed(run, tmp_path, change)) == []
+
+
+def test_a_killed_life_has_said_nothing_more_before_its_last_call(tmp_path: Path) -> None:
+    path = record_run(tmp_path / "a.mcap", crashes=(Crash(node="r1", at_s=2.15),))
+
+    def forge(later: bool) -> Change:
+        def change(record: Recorded) -> Iterable[Recorded]:
+            yield record
+            if (record.topic, record.sequence) == ("journal/r1", 9):
+                stamp = record.publish_time_ns + (SECOND // 10 if later else -SECOND)
+                said = odometry("r1", source="r1", incarnation=1, seq=500, stamp_ns=stamp)
+                yield Recorded("robot/r1/odometry", codec.encode(said), record.log_time_ns, stamp, 500)
+
+        return change
+
+    was = proved(path)["r1", 1]
+    tail = proved(rewrite(path, tmp_path / "b.mcap", forge(later=True)))["r1", 1]
+    assert (tail.verdict, tail.unproved) == ("identical", was.unproved + 1)
+    first = divergence(proved(rewrite(path, tmp_path / "c.mcap", forge(later=False)))["r1", 1])
+    assert first.problem == "robot/r1/odometry 500 is recorded, but it does not send it"
 
 
 def test_a_life_without_any_journal(run: Path, tmp_path: Path) -> None:

@@ -161,13 +161,17 @@ def _notes(recording: Recording, nodes: Sequence[str], said: Census, proofs: Seq
     if not recording.complete:
         notes.append("the recorder did not finish the recording: what it proves ends where that does")
     notes += recording.passed_over
-    speakers = {one.source: one for one in said.speakers}
-    proved = {proof.node for proof in proofs}
+    speakers = {one.source for one in said.speakers}
+    proved = {(proof.node, proof.incarnation) for proof in proofs}
     for name in nodes:
         if name not in speakers:
             notes.append(f"{name}: there is nothing of it in the recording")
-        elif name not in proved:
-            notes.append(f"{name}: it left no journal")
+    for one in said.speakers:
+        if one.source in nodes and (one.source, one.incarnation) not in proved:
+            notes.append(
+                f"{one.source} (life {one.incarnation}): it left no journal; its messages "
+                f"({one.messages - one.of_host}) are unproved"
+            )
     if said.headless:
         notes.append(f"{said.headless} messages had no valid header when they arrived: they are nobody's")
     return notes
