@@ -35,14 +35,12 @@ def verify(
         typer.Option(
             help="How far floats may be off, absolute below 1 and relative above; FIELD=X for one field "
             "(x_m=1e-6, Odometry.ticks=1, counters=inf), whole numbers only so. May be repeated. "
-            "[default: not a bit]",
+            "By default not a bit.",
             show_default=False,
         ),
     ] = None,
     trace: Annotated[int, typer.Option(min=0, help="Calls to show before the first divergence.")] = 10,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, help="Nodes at a time. [default: one for each core]")
-    ] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes; by default one for each core.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Run nodes again from a recording's journals and messages, and compare every byte they send.
