@@ -5,7 +5,7 @@ from pathlib import Path
 
 from mcap.records import Attachment, Metadata
 
-from maniple.recording.mcap_file import McapFile
+from maniple.recording.mcap_file import MAGIC, McapFile
 from maniple.recording.reader import Recording
 from maniple.recording.selection import Selection
 from maniple.recording.viz.export import EVERYTHING, ExportedFile, Pictures, new_file
@@ -24,12 +24,12 @@ def export_foxglove(
     same recording makes the same bytes.
 
     Raises:
-        ArgumentError: `out` exists, and is not to be replaced.
+        ArgumentError: `out` exists, and is no earlier export or not to be replaced.
         RecordingError: the recording is damaged, or its scenario can't be read.
         ManipleError: the file can't be written.
     """
     pictures = Pictures(recording, selection)
-    with new_file(out, force) as new, new.open("xb", buffering=0) as raw:
+    with new_file(out, force, "Foxglove", _is_export) as new, new.open("xb", buffering=0) as raw:
         mcap = McapFile(raw, "maniple", compress=True)
         start = recording.start_ns
         mcap.add_metadata(Metadata(METADATA_NAME, dict(recording.metadata)))
@@ -51,3 +51,8 @@ def export_foxglove(
                 mcap.flush()
         mcap.finish()
     return pictures.exported(out, "foxglove")
+
+
+def _is_export(first_bytes: bytes) -> bool:
+    """Its metadata is what a file has first."""
+    return first_bytes.startswith(MAGIC) and METADATA_NAME.encode() in first_bytes

@@ -38,6 +38,8 @@ from maniple.recording.viz.export import EVERYTHING, ExportedFile, Pictures, new
 
 TIMELINE = "run"
 
+_MAGIC = b"RRF"
+
 _BATCH = 20_000
 """Messages whose columns are written at once."""
 
@@ -54,13 +56,13 @@ def export_rerun(
     """Write what viewers draw of a recording into the .rrd file `out`. It is there whole or not at all.
 
     Raises:
-        ArgumentError: `out` exists, and is not to be replaced.
+        ArgumentError: `out` exists, and is no .rrd file or not to be replaced.
         RecordingError: the recording is damaged, or its scenario can't be read.
         ManipleError: the file can't be written.
     """
     pictures = Pictures(recording, selection)
     identity = f"{recording.metadata} {recording.start_ns} {recording.end_ns}"
-    with new_file(out, force) as new:
+    with new_file(out, force, "Rerun", lambda first_bytes: first_bytes.startswith(_MAGIC)) as new:
         stream = rr.RecordingStream(
             recording.scenario.name, recording_id=uuid5(NAMESPACE_URL, identity), send_properties=False
         )

@@ -131,15 +131,28 @@ def test_topics_that_are_not_taken_are_not_drawn(tmp_path: Path) -> None:
 
 def test_nothing_is_overwritten_unless_asked(tmp_path: Path) -> None:
     out = tmp_path / "a.mcap"
-    out.write_text("mine")
+    export_foxglove(read(recorded()), out)
+    made = out.read_bytes()
+    out.write_bytes(made[:-1])
     with pytest.raises(ArgumentError, match="--force"):
         export_foxglove(read(recorded()), out)
     with pytest.raises(ArgumentError, match="is a folder"):
         export_foxglove(read(recorded()), tmp_path, force=True)
-    assert out.read_text() == "mine"
+    assert out.read_bytes() == made[:-1]
     export_foxglove(read(recorded()), out, force=True)
-    assert out.read_bytes().startswith(b"\x89MCAP")
+    assert out.read_bytes() == made
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_a_recording_is_never_overwritten(tmp_path: Path) -> None:
+    out, other = tmp_path / "a.mcap", tmp_path / "notes.mcap"
+    out.write_bytes(recorded().read_bytes())
+    other.write_text("mine")
+    for path in (out, other):
+        before = path.read_bytes()
+        with pytest.raises(ArgumentError, match="no earlier export to Foxglove"):
+            export_foxglove(read(out), path, force=True)
+        assert path.read_bytes() == before
 
 
 def test_a_file_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:

@@ -106,6 +106,11 @@ def test_a_part_starts_where_it_is_asked_to(tmp_path: Path) -> None:
 def test_nothing_is_overwritten_unless_asked(tmp_path: Path) -> None:
     out = tmp_path / "a.rrd"
     out.write_text("mine")
+    with pytest.raises(ArgumentError, match="no earlier export to Rerun"):
+        export_rerun(read(recorded()), out, force=True)
+    assert out.read_text() == "mine"
+    out.unlink()
+    export_rerun(read(recorded()), out)
     with pytest.raises(ArgumentError, match="--force"):
         export_rerun(read(recorded()), out)
     export_rerun(read(recorded()), out, force=True)

@@ -1,7 +1,7 @@
 """What viewers draw of a recording, for those who write it into one file."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,6 +16,8 @@ from maniple.recording.viz.channels import Drawn
 from maniple.recording.viz.viewer import Viewer
 
 EVERYTHING = Selection()
+
+_FIRST_BYTES = 256
 
 
 class ExportedFile(msgspec.Struct, frozen=True, kw_only=True):
@@ -92,9 +94,10 @@ class Pictures:
 
 
 @contextmanager
-def new_file(out: Path, force: bool) -> Iterator[Path]:
+def new_file(out: Path, force: bool, viewer: str, earlier: Callable[[bytes], bool]) -> Iterator[Path]:
     """A file to write that does not exist yet; it becomes `out` when all has gone well, and goes when it has
-    not.
+    not. `earlier` tells by the first bytes of a file whether it is an earlier export to `viewer`: nothing
+    else is ever replaced.
 
     Raises:
         ArgumentError: `out` exists and is not to be replaced, or is no file.
@@ -102,9 +105,15 @@ def new_file(out: Path, force: bool) -> Iterator[Path]:
     """
     if out.is_dir():
         raise ArgumentError(f"{out} is a folder; --out must name a file")
-    if out.exists() and not force:
-        raise ArgumentError(f"{out} exists; another --out, or --force to replace it")
     try:
+        if out.exists():
+            with out.open("rb") as file:
+                if not earlier(file.read(_FIRST_BYTES)):
+                    raise ArgumentError(
+                        f"{out} exists and is no earlier export to {viewer}; --out must name another file"
+                    )
+            if not force:
+                raise ArgumentError(f"{out} holds an export; another --out, or --force to replace it")
         out.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as scratch:
             new = Path(scratch) / out.name
