@@ -135,7 +135,7 @@ def shape(
 
 @app.command()
 def task(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="TOML with [task], [formation] or both.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="TOML with a table task, formation, or both.")],
     connect: Connect = LOCAL,
     prefix: Prefix = "maniple",
     json: Json = False,

@@ -64,7 +64,7 @@ class Plans(msgspec.Struct, frozen=True):
 
 def show(
     file: File,
-    method: Annotated[str | None, typer.Option("--method", help="Only this one. [default: all]")] = None,
+    method: Annotated[str | None, typer.Option("--method", help="Only this one; by default all.")] = None,
     overrides: Set = None,
     seed: Seed = None,
     as_json: Json = False,

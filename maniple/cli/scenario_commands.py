@@ -52,7 +52,7 @@ def check(file: File, overrides: Set = None, seed: Seed = None, as_json: Json = 
 def draw(
     file: File,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Picture to write: .png, .svg or .pdf. [default: NAME.png]")
+        Path | None, typer.Option("--out", help="Picture to write: .png, .svg or .pdf; by default NAME.png.")
     ] = None,
     overrides: Set = None,
     seed: Seed = None,

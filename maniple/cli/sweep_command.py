@@ -11,10 +11,10 @@ from rich.console import Console
 def sweep(
     file: Annotated[Path, typer.Argument(help="Sweep file (TOML).")],
     jobs: Annotated[
-        int | None, typer.Option(min=1, help="Runs at a time. [default: one for each core]")
+        int | None, typer.Option(min=1, help="Runs at a time; by default one for each core.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder of the results. [default: logs/sweep-NAME]")
+        Path | None, typer.Option(help="Folder of the results; by default logs/sweep-NAME.")
     ] = None,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Forget the runs that are there and begin anew.")

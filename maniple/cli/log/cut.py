@@ -20,7 +20,7 @@ def cut(
     topic: Topics = None,
     without: Without = None,
     out: Annotated[
-        Path | None, typer.Option(help="The new file, never one that exists. [default: FILE-cut.mcap]")
+        Path | None, typer.Option(help="The new file, never one that exists; by default FILE-cut.mcap.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:

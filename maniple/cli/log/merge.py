@@ -16,10 +16,10 @@ from maniple.recording.reader import read
 def merge(
     files: Annotated[list[Path], typer.Argument(help="Recordings (MCAP) of one run by several recorders.")],
     out: Annotated[
-        Path | None, typer.Option(help="The new file, never one that exists. [default: FILE-merged.mcap]")
+        Path | None, typer.Option(help="The new file, never one that exists; by default FILE-merged.mcap.")
     ] = None,
     reference: Annotated[
-        Path | None, typer.Option(help="Whose clock is kept, one of FILES. [default: the first]")
+        Path | None, typer.Option(help="Whose clock is kept, one of FILES; by default the first.")
     ] = None,
     take_reference: Annotated[
         bool,

@@ -48,22 +48,22 @@ def play(
     connect: Annotated[
         str | None,
         typer.Option(
-            help="Router to play onto. [default: be one]",
+            help="Router to play onto; by default this is one itself.",
             show_default=False,
         ),
     ] = None,
     listen: Annotated[
         str | None,
         typer.Option(
-            help="Where to be a router. [default: tcp/127.0.0.1:7447, or another port if that is taken]",
+            help="Where to be a router; by default tcp/127.0.0.1:7447, or another port if that is taken.",
             show_default=False,
         ),
     ] = None,
     prefix: Annotated[
-        str | None, typer.Option(help="Of the keys. [default: that of the recording]", show_default=False)
+        str | None, typer.Option(help="Of the keys; by default that of the recording.", show_default=False)
     ] = None,
     rate: Annotated[
-        float | None, typer.Option(help="Times the recording's time. [default: 1]", show_default=False)
+        float | None, typer.Option(help="Times the recording's time; by default 1.", show_default=False)
     ] = None,
     as_fast_as_possible: Annotated[
         bool, typer.Option("--as-fast-as-possible", help="As fast as those who listen can take it.")

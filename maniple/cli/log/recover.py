@@ -15,7 +15,7 @@ _SHOWN = 20
 def recover(
     file: Annotated[Path, typer.Argument(help="Recording (MCAP) that is unfinished, cut off or damaged.")],
     out: Annotated[
-        Path | None, typer.Option(help="The new file, never one that exists. [default: FILE-recovered.mcap]")
+        Path | None, typer.Option(help="The new file, never one that exists; by default FILE-recovered.mcap.")
     ] = None,
     scenario: Annotated[
         Path | None, typer.Option(help="Scenario of the run (TOML), for a file that has lost its own.")
