@@ -36,6 +36,9 @@ B_LOOK = {"color": RED, "ls": STRIPES[1], "lw": 0.9}
 _LEAST = 1e-9
 """Differences smaller than this share of the largest are not shown."""
 
+_DECADE = 12.0
+"""What the largest is at least of the least on the axis: less than a decade has no ticks that can be read."""
+
 _LABELS = {
     "position_m": "position [m]",
     "orientation_rad": "orientation [rad]",
@@ -172,8 +175,8 @@ def differences(pairs: Sequence[Pair], _: tuple[str, str]) -> Figure | None:
     for (axes,), (label, rows) in zip(panels(figure, len(drawings)), drawings, strict=True):
         _draw_sizes(axes, rows, few)
         axes.set_title(f"|A - B|: {label}")
-    known = list(dict.fromkeys(name for _, rows in drawings for name, _, _ in rows))
-    handles: list[Artist] = [row(name, **look(index)) for index, name in enumerate(known)]
+    known = {name: look(index) for _, rows in drawings for index, (name, t, _) in enumerate(rows) if len(t)}
+    handles: list[Artist] = [row(name, **known[name]) for name in known]
     legend(figure, handles if few else style.band_rows(INK, f"of {len(known)} robots"), 6)
     return figure
 
@@ -239,4 +242,4 @@ def _draw_sizes(axes: Axes, rows: Sequence[tuple[str, Floats, Floats]], few: boo
         style.draw_band(axes, band(parts), INK)
     axes.set_yscale("log")
     top = max(float(np.nanmax(off, initial=0.0)) for _, off in parts)
-    axes.set_ylim(bottom=max(axes.get_ylim()[0], top * _LEAST))
+    axes.set_ylim(bottom=min(max(axes.get_ylim()[0], top * _LEAST), top / _DECADE))

@@ -99,6 +99,7 @@ def panels(figure: Figure, rows: int, columns: int = 1, **options: Any) -> list[
 def save(figure: Figure, path: Path) -> None:
     """Write a figure; the suffix chooses PNG or SVG. The same figure gives the same bytes."""
     with rc_context(LOOK):
+        figure.draw_without_rendering()  # the layout settles, as axes that became smaller have other labels
         figure.savefig(path, dpi=PNG_DPI, metadata=_BARE[path.suffix])
 
 

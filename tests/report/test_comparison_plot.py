@@ -75,3 +75,20 @@ def test_a_file_in_the_way_is_one_message(tmp_path: Path) -> None:
     (tmp_path / "x").write_text("")
     with pytest.raises(ArgumentError, match="not a folder"):
         write(pairs(3), NAMES, tmp_path / "x")
+
+
+def test_only_robots_that_both_runs_have_are_in_the_legend() -> None:
+    found = pairs(3)
+    found[1:4] = [one._replace(a=Track(one.a.t[:0], one.a.values[:0])) for one in found[1:4]]
+    figure = differences(found, NAMES)
+    assert figure is not None
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["r2", "r3"]
+
+
+def test_an_axis_of_differences_is_at_least_a_decade() -> None:
+    figure = differences(pairs(3), NAMES)
+    assert figure is not None
+    for axes in figure.axes:
+        low, high = axes.get_ylim()
+        assert high > 10 * low

@@ -1,6 +1,10 @@
 """Bands behind lines where faults were on."""
 
-from maniple.report.style import INJECTED, panels, shade, sheet, union
+from pathlib import Path
+
+from matplotlib import rc_context
+
+from maniple.report.style import BLUE, INJECTED, LOOK, PNG_DPI, legend, panels, row, save, shade, sheet, union
 from maniple.report.timeline import Injected
 
 ONES = (
@@ -40,3 +44,18 @@ def test_no_faults_no_bands() -> None:
     grid = panels(sheet(2.0), 1)
     assert shade([grid[0][0]], (), 10.0) == []
     assert not grid[0][0].patches
+
+
+def test_labels_are_inside_the_picture(tmp_path: Path) -> None:
+    """Axes that became smaller in the layout have other ticks, with longer labels."""
+    with rc_context(LOOK):
+        figure = sheet(3.6)
+        grid = [axes for row in panels(figure, 3, 2) for axes in row]
+        for axes, top in zip(grid, (0.13, 0.0087, 0.0216, 0.0057, 1.09, 0.32), strict=True):
+            axes.plot([0, 22.5], [0, top])
+            axes.set_ylim(axes.get_ylim()[0], 1.04 * axes.get_ylim()[1])
+            axes.set_ylabel("p, q [m]")
+        legend(figure, [row("A", color=BLUE), row("B", color=BLUE)], 2)
+        save(figure, tmp_path / "a.png")
+    for axes in grid:
+        assert axes.yaxis.label.get_window_extent(dpi=PNG_DPI).x0 >= 0
