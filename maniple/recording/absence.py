@@ -20,7 +20,8 @@ CUT_NAME = "maniple.cut"
 """The metadata record of what was cut from a longer recording: `cuts`, a JSON list of `Selection`, one after
 the other."""
 
-_EVER: Time = 1 << 64
+EVER: Time = 1 << 64
+"""Later than any log time."""
 
 
 class Pause(msgspec.Struct):
@@ -60,8 +61,8 @@ class Absences:
             self._leave_out(_filter_of(part.get(METADATA_NAME, {})), "not recorded, as the recorder was told")
             for selection in cuts_of(part.get(CUT_NAME, {})):
                 self._leave_out(selection, "cut off")
-            for pause in _pauses(part.get(PAUSES_NAME, {})):
-                until = _EVER if pause.until_ns is None else pause.until_ns
+            for pause in pauses_of(part.get(PAUSES_NAME, {})):
+                until = EVER if pause.until_ns is None else pause.until_ns
                 self.spans.append(
                     Absence(pause.from_ns, until, f"paused: {pause.reason or 'no reason given'}")
                 )
@@ -72,7 +73,7 @@ class Absences:
         was left out on purpose."""
         if not all(selection.takes(topic) for selection, _ in self.filters):
             return True
-        first, last = from_ns or 0, _EVER if until_ns is None else until_ns
+        first, last = from_ns or 0, EVER if until_ns is None else until_ns
         return any(span.from_ns < last and span.until_ns > first for span in self.spans)
 
     def texts(self, start_ns: Time) -> tuple[str, ...]:
@@ -82,19 +83,19 @@ class Absences:
             ends = []
             if span.from_ns > start_ns:
                 ends.append(f"from {to_seconds(span.from_ns - start_ns):.3f} s")
-            if span.until_ns < _EVER:
+            if span.until_ns < EVER:
                 ends.append(f"until {to_seconds(span.until_ns - start_ns):.3f} s")
             found.append(f"{' '.join(ends)}: {span.why}")
         for selection, why in self.filters:
-            chosen = [*selection.topics, *(f"not {pattern}" for pattern in selection.without)]
-            found.append(f"other topics than {', '.join(chosen)}: {why}")
+            others = [f"other topics than {', '.join(selection.topics)}"] if selection.topics else []
+            found.append(f"{', '.join([*selection.without, *others])}: {why}")
         return tuple(found)
 
     def _leave_out(self, selection: Selection, why: str) -> None:
         if selection.start_ns is not None:
             self.spans.append(Absence(0, selection.start_ns, why))
         if selection.end_ns is not None:
-            self.spans.append(Absence(selection.end_ns, _EVER, why))
+            self.spans.append(Absence(selection.end_ns, EVER, why))
         if (selection.topics or selection.without) and (selection, why) not in self.filters:
             self.filters.append((selection, why))
 
@@ -107,6 +108,14 @@ def cuts_of(said: Mapping[str, str]) -> list[Selection]:
         return []
 
 
+def pauses_of(said: Mapping[str, str]) -> list[Pause]:
+    """When nothing was recorded, by the metadata record; never where it can't be read."""
+    try:
+        return msgspec.json.decode(said.get("pauses", "[]"), type=list[Pause])
+    except msgspec.MsgspecError:
+        return []
+
+
 def _filter_of(said: Mapping[str, str]) -> Selection:
     """What a recorder was told to record."""
     try:
@@ -115,10 +124,3 @@ def _filter_of(said: Mapping[str, str]) -> Selection:
         )
     except ArgumentError:
         return Selection()
-
-
-def _pauses(said: Mapping[str, str]) -> list[Pause]:
-    try:
-        return msgspec.json.decode(said.get("pauses", "[]"), type=list[Pause])
-    except msgspec.MsgspecError:
-        return []

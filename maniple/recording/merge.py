@@ -14,7 +14,7 @@ import msgspec
 from maniple.core.envelope import header_of
 from maniple.core.errors import ArgumentError, MessageError, RecordingError
 from maniple.core.time import Time
-from maniple.recording.absence import CUT_NAME, PAUSES_NAME
+from maniple.recording.absence import CUT_NAME, EVER, PAUSES_NAME, Pause, pauses_of
 from maniple.recording.offset import Offset, offset_of
 from maniple.recording.reader import Recording
 from maniple.recording.rewrite import Rewriter, beside
@@ -273,6 +273,8 @@ def _write(
 ) -> tuple[int, int]:
     """Write the new recording; returns its messages and how many are missing."""
     metadata = _common([one.recording for one in aligned])
+    if pauses := _pauses(aligned):
+        metadata[PAUSES_NAME] = {"pauses": msgspec.json.encode(pauses).decode()}
     metadata[MERGED_NAME] = {
         "sources": msgspec.json.encode(sources).decode(),
         "differing": str(len(known.differences)),
@@ -303,6 +305,45 @@ def _timed(one: _Aligned, index: int) -> Iterator[tuple[Time, int, Layout, RawMe
         yield one.right(raw.log_time_ns), index, layout, raw, topic
 
 
+def _pauses(aligned: Sequence[_Aligned]) -> list[Pause]:
+    """What is left of the pauses, by the clock that is kept: the times in which no other recorded."""
+    silent = [_silent(one) for one in aligned]
+    found: dict[tuple[Time, Time], Pause] = {}
+    for index, (one, pauses) in enumerate(zip(aligned, map(_own_pauses, aligned), strict=True)):
+        for pause in pauses:
+            spans = [_span(one, pause)]
+            for times in (*silent[:index], *silent[index + 1 :]):
+                common = ((max(a, c), min(b, d)) for a, b in spans for c, d in times)
+                spans = [span for span in common if span[0] < span[1]]
+            for start, end in spans:
+                until = None if end == EVER else end
+                found.setdefault((start, end), Pause(start, pause.reason, until, pause.messages))
+    return [found[span] for span in sorted(found)]
+
+
+def _own_pauses(one: _Aligned) -> list[Pause]:
+    """By the clock of the recording."""
+    return list(
+        {
+            pause.from_ns: pause
+            for said in one.recording.all_metadata
+            for pause in pauses_of(said.get(PAUSES_NAME, {}))
+        }.values()
+    )
+
+
+def _silent(one: _Aligned) -> list[tuple[Time, Time]]:
+    """When a recorder did not record: paused, not there yet, not there any more."""
+    recording = one.recording
+    pauses = [_span(one, pause) for pause in _own_pauses(one)]
+    return [*pauses, (0, one.right(recording.start_ns)), (one.right(recording.end_ns), EVER)]
+
+
+def _span(one: _Aligned, pause: Pause) -> tuple[Time, Time]:
+    """By the clock that is kept."""
+    return one.right(pause.from_ns), EVER if pause.until_ns is None else one.right(pause.until_ns)
+
+
 def _common(recordings: Sequence[Recording]) -> dict[str, Mapping[str, str]]:
     """The metadata of the first, without what does not hold for all: part, and what was left out."""
     all_said = []
@@ -315,8 +356,8 @@ def _common(recordings: Sequence[Recording]) -> dict[str, Mapping[str, str]]:
     found = {
         name: values
         for name, values in first.items()
-        if name != GAPS_NAME
-        and (name not in (PAUSES_NAME, CUT_NAME) or all(said.get(name) == values for said in all_said))
+        if name not in (GAPS_NAME, PAUSES_NAME)
+        and (name != CUT_NAME or all(said.get(name) == values for said in all_said))
     }
     about = first[METADATA_NAME]
     found[METADATA_NAME] = {

@@ -1,10 +1,11 @@
+import json
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from maniple.core.errors import ArgumentError, RecordingError
-from maniple.core.time import MILLISECOND, SECOND
+from maniple.core.time import MILLISECOND, SECOND, to_seconds
 from maniple.recording.info import describe
 from maniple.recording.merge import Merged, merge
 from maniple.recording.reader import read
@@ -156,3 +157,42 @@ def test_what_was_left_out_by_one_only_is_no_reason_any_more(tmp_path: Path) -> 
     about = read(tmp_path / "out.mcap").metadata
     assert about["without"] == "sim/**"
     assert not {"topics", "part"} & about.keys()
+
+
+def test_a_pause_of_all_recorders_stays_a_reason_while_nobody_recorded(tmp_path: Path) -> None:
+    """One pauses from 20 to 40, the other, 7 s behind, from 25 to 45; a third was there only before."""
+    sent = traffic(60)
+
+    def paused(path: Path, ahead_ns: int, numbers: range) -> Path:
+        kept = heard_by(sent, ahead_ns, lambda number: number // 4 not in numbers)
+        with RecordingWriter(path, SCENARIO, METADATA, prefix="maniple") as writer:
+            for message in kept:
+                writer.write(*message)
+            first, last = (sent[4 * n].log_time_ns + ahead_ns for n in (numbers.start, numbers.stop))
+            pauses = [{"from_ns": first, "until_ns": last, "reason": "lunch"}]
+            writer.note("maniple.pauses", {"pauses": json.dumps(pauses)})
+        return path
+
+    a = paused(tmp_path / "a.mcap", 0, range(20, 40))
+    b = paused(tmp_path / "b.mcap", -7 * SECOND, range(25, 45))
+    c = written(tmp_path / "c.mcap", heard_by(sent, 0, lambda number: number < 40))
+    found = merged(tmp_path, a, b, c)
+    about = describe(read(tmp_path / "out.mcap"))
+    assert (found.messages, about.missing, about.left_out) == (4 * 45, 0, 4 * 15)
+    begin, first, last = (sent[number].log_time_ns for number in (0, 4 * 25, 4 * 40))
+    assert about.absences == (
+        f"from {to_seconds(first - begin):.3f} s until {to_seconds(last - begin):.3f} s: paused: lunch",
+    )
+
+
+def test_what_another_recorded_in_a_pause_is_not_left_out(tmp_path: Path) -> None:
+    sent = traffic(20)
+    with RecordingWriter(tmp_path / "a.mcap", SCENARIO, METADATA, prefix="maniple") as writer:
+        for message in sent[:20] + sent[60:]:
+            writer.write(*message)
+        pauses = [{"from_ns": sent[20].log_time_ns, "until_ns": sent[60].log_time_ns, "reason": ""}]
+        writer.note("maniple.pauses", {"pauses": json.dumps(pauses)})
+    b = written(tmp_path / "b.mcap", heard_by(sent, 0, lambda number: number != 30))
+    merged(tmp_path, tmp_path / "a.mcap", b)
+    about = describe(read(tmp_path / "out.mcap"))
+    assert (about.missing, about.left_out, about.absences) == (1, 0, ())
