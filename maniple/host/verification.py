@@ -6,6 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from heapq import heapify, heappop, heappush
 from itertools import islice, pairwise
+from operator import itemgetter
 from statistics import median
 from typing import Any, Literal, NamedTuple
 
@@ -14,7 +15,7 @@ import msgspec
 from maniple.core import codec, topics
 from maniple.core.envelope import Header, header_of
 from maniple.core.errors import MessageError
-from maniple.core.messages import Call, Message, unpack_floats
+from maniple.core.messages import Alive, Call, Message, unpack_floats
 from maniple.core.node import Node
 from maniple.core.time import SECOND, Duration, Time, to_seconds
 from maniple.host.reexecution import Inputs, LackingError, Life, Step, Tape, lives, may_be_of, reexecute
@@ -93,6 +94,15 @@ class Divergence(msgspec.Struct, frozen=True):
     """The calls before it, and it."""
 
 
+class Met(msgspec.Struct, frozen=True):
+    """A life of another node, as its host told a node of it."""
+
+    node: str
+    incarnation: int
+    span_s: float
+    """How long it was there at a stretch, by the clock of the node that was told."""
+
+
 class Proof(msgspec.Struct, frozen=True, kw_only=True):
     """What came of running one life of a node again."""
 
@@ -117,6 +127,8 @@ class Proof(msgspec.Struct, frozen=True, kw_only=True):
     """That the node sends, but the recorder did not get."""
     altered: int = 0
     """Messages that the node got with bits flipped on the way; their bytes are in its journal."""
+    met: tuple[Met, ...] = ()
+    """Who it was told is there."""
     reason: str = ""
     """Why it can't be run again to its end."""
     divergence: Divergence | None = None
@@ -155,6 +167,8 @@ class Census(msgspec.Struct, frozen=True):
     not those that were written."""
     foreign: dict[str, int]
     """Messages on a topic that belongs to somebody else, by "SOURCE on TOPIC"."""
+    disordered: int = 0
+    """Messages that are there again, or after later ones of the same life on the same topic."""
 
 
 def prove(
@@ -194,7 +208,8 @@ def census(recording: Recording, watch: Watch = lambda: None) -> Census:
     """
     tallies: defaultdict[tuple[str, int], _Tally] = defaultdict(_Tally)
     foreign: Counter[str] = Counter()
-    headless = 0
+    headless = disordered = 0
+    following: dict[tuple[str, str, int], int] = {}
     changed: list[str] = []
     owners: dict[str, tuple[str, bool, bool]] = {}
     for count, record in enumerate(recording.messages()):
@@ -211,6 +226,11 @@ def census(recording: Recording, watch: Watch = lambda: None) -> Census:
             continue
         if (header.seq, header.stamp_ns) != (record.sequence, record.publish_time_ns):
             changed.append(f"{topic} {record.sequence}")
+        stream = topic, header.source, header.incarnation
+        if header.seq < following.get(stream, 0):
+            disordered += 1
+        else:
+            following[stream] = header.seq + 1
         known = owners.get(topic)
         if known is None:
             known = owners[topic] = _owner(topic)
@@ -219,7 +239,7 @@ def census(recording: Recording, watch: Watch = lambda: None) -> Census:
         if owner not in ("", header.source):
             foreign[f"{header.source} on {topic}"] += 1
     speakers = tuple(tally.speaker(*key) for key, tally in sorted(tallies.items()))
-    return Census(speakers, headless, tuple(changed), dict(sorted(foreign.items())))
+    return Census(speakers, headless, tuple(changed), dict(sorted(foreign.items())), disordered)
 
 
 def problems_of(census: Census, proofs: Collection[Proof], nodes: Collection[str]) -> list[str]:
@@ -243,6 +263,18 @@ def problems_of(census: Census, proofs: Collection[Proof], nodes: Collection[str
                 f"{who}: it has no journal, and its messages ({messages}) were not said {order} those of "
                 f"life {other.incarnation}: it never was"
             )
+    heard = {(one.source, one.incarnation) for one in census.speakers}
+    missed: dict[tuple[str, int], tuple[float, Proof]] = {}
+    for proof in proofs:
+        for met in proof.met:
+            life = met.node, met.incarnation
+            if met.node in nodes and life not in heard and met.span_s > to_seconds(LONGEST_TAIL):
+                missed[life] = max(missed.get(life, (0.0, proof)), (met.span_s, proof), key=itemgetter(0))
+    for (node, incarnation), (span_s, proof) in sorted(missed.items(), key=itemgetter(0)):
+        found.append(
+            f"{node} (life {incarnation}): the recording lacks all of it; it was there for {span_s:.1f} s, "
+            f"as {proof.node} (life {proof.incarnation}) was told"
+        )
     if not proofs:
         found.append("the recording lacks the journals of all nodes that were to be run again")
     return found
@@ -310,6 +342,8 @@ class _Matcher:
         self._sums: dict[str, array[int]] = {}
         self._told: dict[str, int] = {}
         self._now: Time = 0
+        self._met: dict[tuple[str, int], Duration] = {}
+        self._there: dict[tuple[str, int], Time] = {}
         self._failed = ""
         self._miscounted = False
         self.same = self.near = self.differing = self.altered = 0
@@ -338,7 +372,13 @@ class _Matcher:
             self._find(_Finding(step.index - 1, f"it fails when it is run again: {self._failed}"))
         self._failed = step.raised
         self.calls = step.index + 1
+        if call.now_ns < self._now:
+            self._find(_Finding(step.index, "its journal goes back in time"))
         self._now = call.now_ns
+        if call.name == topics.HOST_ALIVE and call.data is not None:
+            said = codec.decode(call.name, call.data)
+            assert isinstance(said, Alive), "it took it"
+            self._meet((said.node, said.node_incarnation), said.alive)
         self.altered += call.data is not None and call.source != HOST
         for one in step.sent:
             self._sums.setdefault(one.topic, array("L")).append(one.crc32)
@@ -372,6 +412,19 @@ class _Matcher:
         last = max((record.publish_time_ns for record in left), default=0)
         journaled = self._life.journals[-1].publish_time_ns if self._life.journals else last
         return len(left), max(last - journaled, 0), len(self._made)
+
+    def met(self) -> tuple[Met, ...]:
+        """Who it was told is there, by name and incarnation."""
+        for life in list(self._there):
+            self._meet(life, alive=False)
+        return tuple(Met(*life, to_seconds(span)) for life, span in sorted(self._met.items()))
+
+    def _meet(self, life: tuple[str, int], alive: bool) -> None:
+        """It is told that a life is there, or gone."""
+        if alive:
+            self._there.setdefault(life, self._now)
+        elif (since := self._there.pop(life, None)) is not None:
+            self._met[life] = max(self._now - since, self._met.get(life, 0))
 
     def _compare(self, index: int, made: bytes, record: Recorded) -> None:
         if made == record.data:
@@ -457,6 +510,7 @@ class _Again:
             unproved_s=to_seconds(tail),
             unrecorded=unrecorded,
             altered=matcher.altered,
+            met=matcher.met(),
             reason=reason,
             divergence=matcher.first and _divergence(recording, life, matcher.first, tolerance, trace),
         )

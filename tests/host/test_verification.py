@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from maniple.core import codec, topics
-from maniple.core.messages import Alive, EmergencyStop, Odometry
+from maniple.core.envelope import header_of
+from maniple.core.messages import Alive, EmergencyStop, Journal, Odometry
 from maniple.core.node import Outgoing, Received
 from maniple.core.scenario.types import ClockError, Crash, Fault, Freeze, Partition
 from maniple.core.time import SECOND, VIRTUAL_EPOCH, Time
@@ -290,6 +291,39 @@ def test_a_life_without_any_journal(run: Path, tmp_path: Path) -> None:
     assert problems(path) == ["r1 (life 1): the recording lacks its journal; 31 messages are unproved"]
 
 
+def test_a_life_of_which_nothing_is_left(tmp_path: Path) -> None:
+    """The others were told that it was there."""
+    path = record_run(tmp_path / "a.mcap", crashes=(Crash(node="r1", at_s=0.5, restart_after_s=0.2),))
+    assert problems(path) == []
+
+    def change(record: Recorded) -> Iterable[Recorded]:
+        header = header_of(record.topic, record.data)
+        return () if (header.source, header.incarnation) == ("r1", 2) else (record,)
+
+    gone = rewrite(path, tmp_path / "b.mcap", change)
+    found = proved(gone)
+    met = {(one.node, one.incarnation): one.span_s for one in found["r2", 1].met}
+    assert met["r1", 1] < 1.0 < 2.0 < met["r1", 2]
+    said = f"r1 (life 2): the recording lacks all of it; it was there for {met['r1', 2]:.1f} s, as"
+    assert problems(gone) == [f"{said} r2 (life 1) was told"]
+    assert problems_of(census(read(gone)), list(found.values()), ["r2"]) == []
+
+
+def test_a_journal_that_goes_back_in_time(run: Path, tmp_path: Path) -> None:
+    def change(record: Recorded) -> Iterable[Recorded]:
+        message = record.decode()
+        if (record.topic, record.sequence) == ("journal/r1", 5):
+            assert isinstance(message, Journal)
+            first, *others = message.calls
+            calls = (msgspec.structs.replace(first, now_ns=first.now_ns - SECOND), *others)
+            data = codec.encode(msgspec.structs.replace(message, calls=calls))
+            record = record._replace(data=data)
+        yield record
+
+    first = divergence(proved(changed(run, tmp_path, change))["r1", 1])
+    assert first.problem == "its journal goes back in time"
+
+
 def test_no_journal_at_all(run: Path, tmp_path: Path) -> None:
     path = changed(run, tmp_path, lambda one: () if one.topic.startswith("journal/") else (one,))
     assert problems(path)[-1] == "the recording lacks the journals of all nodes that were to be run again"
@@ -397,6 +431,7 @@ def test_who_says_what(run: Path, tmp_path: Path) -> None:
             now = record.log_time_ns
             yield Recorded(topics.STOP, codec.encode(stop), now, 7, 0)
             yield Recorded("robot/r1/odometry", b"garbage", now, now, 0)
+            yield record
             fake = odometry("r1", source="r2", incarnation=1, seq=500, stamp_ns=9)
             yield Recorded("robot/r1/odometry", codec.encode(fake), now, 9, 500)
 
@@ -408,10 +443,10 @@ def test_who_says_what(run: Path, tmp_path: Path) -> None:
         ("r1", 1),
         ("r2", 1),
     }
-    assert (found.headless, found.changed) == (1, ())
+    assert (found.headless, found.changed, found.disordered) == (1, (), 1)
     assert problems(path)[0] == "1 messages of r2 on robot/r1/odometry, which is not theirs"
     r1 = next(one for one in found.speakers if one.source == "r1")
-    assert (r1.messages - r1.of_host, r1.journaled) == (31, True)
+    assert (r1.messages - r1.of_host, r1.journaled) == (32, True)
     assert 2.5 < r1.span_s < 3.5
 
 

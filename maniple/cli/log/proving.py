@@ -124,8 +124,8 @@ def makers_of(scenario: Scenario) -> Mapping[str, Callable[[int], Node]]:
 def _summed_up(
     order: Order, recording: Recording, nodes: tuple[str, ...], said: Census, proofs: tuple[Proof, ...]
 ) -> Verification:
-    problems = problems_of(said, proofs, nodes)
     metadata = recording.metadata
+    problems = [*problems_of(said, proofs, nodes), *_contradictions(recording)]
     members = tuple(factories(recording.scenario))
     rank = {name: place for place, name in enumerate(members)}
     return Verification(
@@ -142,6 +142,17 @@ def _summed_up(
         of_hosts=sum(one.of_host for one in said.speakers if one.source in members),
         tolerance=order.tolerance,
     )
+
+
+def _contradictions(recording: Recording) -> list[str]:
+    """Where what the recording says of its scenario is not what is attached."""
+    scenario = recording.scenario
+    attached = {"scenario": scenario.name, "seed": str(scenario.seed), "prefix": scenario.network.prefix}
+    return [
+        f"it says that its {name} is {said}, the attached scenario says {value}"
+        for name, value in attached.items()
+        if (said := recording.metadata.get(name, value)) != value
+    ]
 
 
 def _notes(recording: Recording, nodes: Sequence[str], said: Census, proofs: Sequence[Proof]) -> list[str]:
@@ -172,6 +183,8 @@ def _notes(recording: Recording, nodes: Sequence[str], said: Census, proofs: Seq
                 f"{one.source} (life {one.incarnation}): it left no journal; its messages "
                 f"({one.messages - one.of_host}) are unproved"
             )
+    if said.disordered:
+        notes.append(f"{said.disordered} messages are there again, or after later ones of their sender")
     if said.headless:
         notes.append(f"{said.headless} messages had no valid header when they arrived: they are nobody's")
     return notes

@@ -119,6 +119,14 @@ def test_a_gain_that_acted_and_one_that_did_not(run: Path, tmp_path: Path) -> No
     assert figures(rewrite(run, tmp_path / "unused.mcap", same, unused))["holds"] is True
 
 
+def test_another_scenario_than_the_recording_says(run: Path, tmp_path: Path) -> None:
+    scenario = read(run).scenario
+    path = rewrite(run, tmp_path / "seed.mcap", same, replace(scenario, seed=scenario.seed + 1))
+    found = figures(path, status=1)
+    was, now = scenario.seed, scenario.seed + 1
+    assert f"it says that its seed is {was}, the attached scenario says {now}" in found["problems"]
+
+
 def test_a_bit_that_was_flipped(run: Path, tmp_path: Path) -> None:
     found = figures(rewrite(run, tmp_path / "a.mcap", flipped("hw/r1/drive", 20, -3)), status=1)
     verdicts = {one["node"]: one["verdict"] for one in found["lives"] if one["verdict"] != "identical"}
