@@ -5,6 +5,7 @@ from array import array
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from heapq import merge as merge_sorted
+from itertools import chain
 from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
@@ -92,7 +93,10 @@ def merge(
     aligned: list[_Aligned] = []
     waiting = ordered
     while waiting:
-        tried = (_align(recording, known, aligned) for recording in waiting)
+        tried = chain(
+            (_align(recording, known, aligned) for recording in waiting),
+            (_of_one_clock(recording, aligned) for recording in waiting),
+        )
         found = next((one for one in tried if one is not None), None)
         if found is None:
             raise RecordingError(
@@ -226,7 +230,7 @@ class _Known:
 
 
 def _align(recording: Recording, known: _Known, aligned: Sequence[_Aligned]) -> _Aligned | None:
-    """A recording with what its clock is ahead by; None where nothing tells yet."""
+    """A recording with what its clock is ahead by; None where no message tells yet."""
     if not aligned:
         return _Aligned(recording, None)
     theirs, ours = array("q"), array("q")
@@ -236,8 +240,15 @@ def _align(recording: Recording, known: _Known, aligned: Sequence[_Aligned]) -> 
             ours.append(here)
     if theirs:
         return _Aligned(recording, offset_of(theirs, ours))
-    anchor = recording.metadata.get("anchor")
-    if anchor is not None and anchor == aligned[0].recording.metadata.get("anchor"):
+    return None
+
+
+def _of_one_clock(recording: Recording, aligned: Sequence[_Aligned]) -> _Aligned | None:
+    """A recording without a message in common, if it says that its clock is that of the first."""
+    about, first = recording.metadata, aligned[0].recording.metadata
+    virtual = about.get("mode") == first.get("mode") == "virtual"
+    anchor = about.get("anchor")
+    if virtual or (anchor and anchor == first.get("anchor")):
         return _Aligned(recording, None)
     return None
 

@@ -88,13 +88,20 @@ def test_three_that_hang_together_through_one(tmp_path: Path) -> None:
 def test_nothing_in_common(tmp_path: Path) -> None:
     sent = traffic(20)
     early, late = heard_by(sent, 0, lambda n: n < 30), heard_by(sent, 0, lambda n: n >= 40)
-    a, b = written(tmp_path / "a.mcap", early), written(tmp_path / "b.mcap", late)
+    a = written(tmp_path / "a.mcap", early, mode="realtime")
+    b = written(tmp_path / "b.mcap", late, mode="realtime")
     with pytest.raises(RecordingError, match="no message in common"):
         merged(tmp_path, a, b)
     assert not (tmp_path / "out.mcap").exists()
-    c = written(tmp_path / "c.mcap", early, anchor="5")
-    d = written(tmp_path / "d.mcap", late, anchor="5")
-    found = merged(tmp_path, c, d)
+
+
+@pytest.mark.parametrize(("mode", "anchor"), [("realtime", "5"), ("virtual", "")])
+def test_nothing_in_common_but_the_clock(tmp_path: Path, mode: str, anchor: str) -> None:
+    sent = traffic(20)
+    early, late = heard_by(sent, 0, lambda n: n < 30), heard_by(sent, 0, lambda n: n >= 40)
+    a = written(tmp_path / "a.mcap", early, mode=mode, anchor=anchor)
+    b = written(tmp_path / "b.mcap", late, mode=mode, anchor=anchor)
+    found = merged(tmp_path, a, b)
     assert found.sources[1].offset is None
     assert list(read(tmp_path / "out.mcap").messages()) == early + late
 
