@@ -52,7 +52,7 @@ def operator_session(connect: str, prefix: str, timeout_s: float) -> Iterator["Z
         BadParameter: `connect` is no endpoint.
         ScenarioError: `prefix` can't be one of keys.
         RunError: nothing answers there within the time, or what was done with the session failed.
-        ArgumentError: what was asked for is not valid there. Both texts begin with the endpoint.
+        ArgumentError: what was asked for is not valid there. Both texts name the endpoint.
     """
     from maniple.transport.zenoh import ZenohSession
 
@@ -62,7 +62,8 @@ def operator_session(connect: str, prefix: str, timeout_s: float) -> Iterator["Z
         with ZenohSession.client(connect, links.prefix, timeout_s) as session:
             yield session
     except (RunError, TransportError) as error:
-        raise RunError(f"{connect}: {error}") from None
+        text = str(error)
+        raise RunError(text if connect in text else f"{connect}: {text}") from None
     except ArgumentError as error:
         raise ArgumentError(f"{connect}: {error}") from None
 

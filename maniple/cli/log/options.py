@@ -14,23 +14,33 @@ _LONGEST_S = 1e9
 
 From: TypeAlias = Annotated[
     float | None,
-    typer.Option("--from", help="From this many seconds after the first message on."),
+    typer.Option("--from", metavar="SECONDS", help="From so many seconds after the first message on."),
 ]
 Until: TypeAlias = Annotated[
     float | None,
-    typer.Option("--until", help="Only what is earlier than this many seconds after the first message."),
+    typer.Option(
+        "--until",
+        metavar="SECONDS",
+        help="Only what is earlier than so many seconds after the first message.",
+    ),
 ]
 Topics: TypeAlias = Annotated[
     list[str] | None,
     typer.Option(
         "--topic",
-        help="Only topics that match (robot/*/odometry, hw/**); may be given several times.",
+        metavar="PATTERN",
+        help="Only topics that match (robot/*/odometry, hw/**); may be repeated.",
         show_default=False,
     ),
 ]
 Without: TypeAlias = Annotated[
     list[str] | None,
-    typer.Option("--without", help="Leave out topics that match; may be repeated.", show_default=False),
+    typer.Option(
+        "--without",
+        metavar="PATTERN",
+        help="Leave out topics that match; may be repeated.",
+        show_default=False,
+    ),
 ]
 
 
@@ -62,6 +72,8 @@ def selection_of(
     if start is not None and start > recording.end_ns:
         length = to_seconds(recording.end_ns - recording.start_ns)
         raise ArgumentError(f"--from {start_s:g}: {recording.path} ends after {length:.3f} s")
+    if start_s is not None and until_s is not None and until_s <= start_s:
+        raise ArgumentError(f"--from {start_s:g} --until {until_s:g}: must end after it begins")
     return Selection(start, end, chosen.topics, chosen.without)
 
 

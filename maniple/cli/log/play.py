@@ -140,7 +140,10 @@ def player(
     order: Annotated[
         Literal["status", "pause", "resume", "step"], typer.Argument(help="What the play is to do.")
     ],
-    count: Annotated[int, typer.Option(min=1, max=1_000_000, help="Messages of a step.")] = 1,
+    count: Annotated[
+        int | None,
+        typer.Option(min=1, max=1_000_000, help="Messages of a step; by default 1.", show_default=False),
+    ] = None,
     connect: Connect = LOCAL,
     prefix: Prefix = "maniple",
     json: Json = False,
@@ -152,7 +155,9 @@ def player(
     """
     from maniple.host.player import Playing
 
-    name = f"play/step/{count}" if order == "step" else f"play/{order}"
+    if count is not None and order != "step":
+        raise ArgumentError(f"--count is for step, not for {order}")
+    name = f"play/step/{count or 1}" if order == "step" else f"play/{order}"
     with operator_session(connect, prefix, timeout) as session:
         answer = session.ask(name, timeout).get(name)
         if answer is None:

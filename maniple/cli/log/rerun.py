@@ -32,6 +32,7 @@ def rerun(
     node: Annotated[
         list[str] | None,
         typer.Option(
+            metavar="NODE",
             help="Only this node (r3, controller, simulator); may be repeated. "
             "By default the controller and all robots.",
             show_default=False,

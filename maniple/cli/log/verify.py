@@ -28,12 +28,17 @@ def verify(
     file: Annotated[Path, typer.Argument(help="Recording (MCAP) made by maniple, finished or not.")],
     node: Annotated[
         list[str] | None,
-        typer.Option(help="Only this node (r3, controller, simulator); may be repeated.", show_default=False),
+        typer.Option(
+            metavar="NODE",
+            help="Only this node (r3, controller, simulator); may be repeated.",
+            show_default=False,
+        ),
     ] = None,
     tolerance: Annotated[
         list[str] | None,
         typer.Option(
-            help="How far floats may be off, absolute below 1 and relative above; FIELD=X for one field "
+            metavar="[FIELD=]NUMBER",
+            help="How far floats may be off, absolute below 1 and relative above; FIELD=NUMBER for one field "
             "(x_m=1e-6, Odometry.ticks=1, counters=inf), whole numbers only so. May be repeated. "
             "By default not a bit.",
             show_default=False,

@@ -42,7 +42,7 @@ def test_times_count_from_the_first_message(recording: Recording) -> None:
         ({"start_s": float("nan")}, "--from nan"),
         ({"until_s": 0.0}, "--until 0: must be above 0"),
         ({"until_s": float("inf")}, "--until inf"),
-        ({"start_s": 1.0, "until_s": 1.0}, "empty"),
+        ({"start_s": 1.0, "until_s": 1.0}, "--from 1 --until 1: must end"),
     ],
 )
 def test_what_selects_nothing_is_an_error(

@@ -273,3 +273,9 @@ def test_where_nothing_can_be_reached_or_read(tmp_path: Path, monkeypatch: pytes
         result = CliRunner().invoke(app, ["player", "pause", "--connect", endpoint])
         assert isinstance(result.exception, RunError)
         assert "no recording is played under the prefix maniple" in str(result.exception)
+
+
+def test_only_a_step_has_a_count() -> None:
+    result = CliRunner().invoke(app, ["player", "pause", "--count", "2"])
+    assert isinstance(result.exception, ArgumentError)
+    assert "--count is for step" in str(result.exception)
