@@ -9,7 +9,7 @@ from maniple.recording.absence import CUT_NAME, cuts_of
 from maniple.recording.reader import Recording
 from maniple.recording.rewrite import Rewriter, beside
 from maniple.recording.selection import Selection
-from maniple.recording.split import is_latched
+from maniple.recording.split import GOES_ON_NAME, is_latched
 from maniple.recording.tally import GAPS_NAME
 from maniple.recording.writer import METADATA_NAME, Latched, attachment_of
 
@@ -85,6 +85,7 @@ def _metadata_of(recording: Recording, selection: Selection) -> Mapping[str, Map
         metadata |= part
     metadata[METADATA_NAME] = recording.metadata
     metadata.pop(GAPS_NAME, None)
+    metadata.pop(GOES_ON_NAME, None)
     cuts = [*cuts_of(metadata.get(CUT_NAME, {})), selection]
     metadata[CUT_NAME] = {"cuts": msgspec.json.encode(cuts).decode()}
     return metadata

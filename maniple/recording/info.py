@@ -57,6 +57,8 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     """Its files, in order."""
     passed_over: tuple[str, ...]
     """What there is to say of parts in which nothing is."""
+    lacking: str
+    """What there is to say of a part that ought to follow and is not there; empty where none ought to."""
     complete: bool
     """Whether the recorder finished the file, or all of them."""
     torn_bytes: int
@@ -102,6 +104,7 @@ def describe(recording: Recording) -> Info:
         seed=metadata.get("seed", ""),
         parts=tuple(map(str, recording.paths)),
         passed_over=recording.passed_over,
+        lacking=recording.lacking,
         complete=recording.complete,
         torn_bytes=sum(layout.torn for layout in recording.layouts),
         damage=tuple(map(str, damage)),

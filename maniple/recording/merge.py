@@ -20,6 +20,7 @@ from maniple.recording.offset import Offset, offset_of
 from maniple.recording.reader import Recording
 from maniple.recording.rewrite import Rewriter, beside
 from maniple.recording.scan import Layout, RawMessage
+from maniple.recording.split import GOES_ON_NAME
 from maniple.recording.tally import GAPS_NAME
 from maniple.recording.writer import METADATA_NAME, attachment_of
 
@@ -367,7 +368,7 @@ def _common(recordings: Sequence[Recording]) -> dict[str, Mapping[str, str]]:
     found = {
         name: values
         for name, values in first.items()
-        if name not in (GAPS_NAME, PAUSES_NAME)
+        if name not in (GAPS_NAME, GOES_ON_NAME, PAUSES_NAME)
         and (name != CUT_NAME or all(said.get(name) == values for said in all_said))
     }
     about = first[METADATA_NAME]

@@ -27,6 +27,7 @@ from maniple.recording.scan import (
     scan,
 )
 from maniple.recording.selection import EVERYTHING, Selection
+from maniple.recording.split import GOES_ON_NAME
 from maniple.recording.writer import LATCHED_NAME, METADATA_NAME, SCENARIO_NAME, Latched, part
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ class Recording:
     """An open recording, of one file or several parts. Messages are read from the files as they are asked
     for, a chunk or two at a time."""
 
-    def __init__(self, layouts: Sequence[Layout], passed_over: Sequence[str] = ()) -> None:
+    def __init__(self, layouts: Sequence[Layout], passed_over: Sequence[str] = (), lacking: str = "") -> None:
         first = layouts[0]
         self.path = first.path
         """Of its first part."""
@@ -97,6 +98,8 @@ class Recording:
         """Of all parts, in order."""
         self.passed_over = tuple(passed_over)
         """What there is to say of parts without any message."""
+        self.lacking = lacking
+        """What there is to say of a part that ought to follow and is not there; empty where none ought to."""
         self.complete = all(layout.complete for layout in layouts)
         """False where the recorder was killed, or the file is cut: then all that is whole can be read."""
         self.metadata: Mapping[str, str] = first.metadata[METADATA_NAME]
@@ -345,6 +348,7 @@ def read(path: str | Path) -> Recording:
     path = Path(path)
     first, number = _numbered(path)
     layouts: list[Layout] = []
+    last = 0
     passed_over: list[NothingRecordedError] = []
     while not layouts or path.exists():
         try:
@@ -353,13 +357,18 @@ def read(path: str | Path) -> Recording:
                 first, number = path, 1
             if not layouts or _continues(layouts[0], layout, number):
                 layouts.append(layout)
+            last = number
         except NothingRecordedError as error:
             passed_over.append(error)
         number += 1
         path = part(first, number)
         if not layouts and not path.exists():
             raise passed_over[0]
-    return Recording(layouts, [str(error) for error in passed_over])
+    goes_on, lacking = layouts[-1].metadata.get(GOES_ON_NAME), ""
+    if goes_on is not None and number == last + 1:
+        following = goes_on.get("file", "")
+        lacking = f"{layouts[-1].path} goes on in {following}, which is not there"
+    return Recording(layouts, [str(error) for error in passed_over], lacking)
 
 
 def _opened(path: Path, index: int) -> Layout:

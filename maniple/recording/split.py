@@ -12,6 +12,9 @@ from maniple.core.time import Duration, Time
 from maniple.recording.tally import GAPS_NAME, Tally
 from maniple.recording.writer import Latched, RecordingWriter
 
+GOES_ON_NAME = "maniple.goes_on"
+"""The metadata record of a part after which there is another: `file`, how that was named."""
+
 LEAST_BYTES = 1_000_000
 LEAST_DURATION: Duration = 1_000_000_000
 
@@ -165,6 +168,7 @@ class PartsWriter:
             following.note(name, values)
         done, self._writer, self._started = self._writer, following, None
         self.paths.append(following.path)
+        done.note(GOES_ON_NAME, {"file": following.path.name})
         finish(done, self.tally)
 
     def _holds(self, topic: str) -> bool:

@@ -55,7 +55,7 @@ def write(recording: Path, folder: Path | None = None, force: bool = False) -> R
     _require_free(out, force)
     info = describe(opened)
     series = series_of(opened)
-    warnings = [*notes(series, info), *opened.passed_over]
+    warnings = [*notes(series, info), *opened.passed_over, *filter(None, [opened.lacking])]
     pictures, missing = [], []
     try:
         out.mkdir(parents=True, exist_ok=True)

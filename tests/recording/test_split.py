@@ -10,7 +10,10 @@ import pytest
 from maniple.core import codec, messages, topics
 from maniple.core.errors import RecordingError
 from maniple.core.time import SECOND
+from maniple.recording.cut import cut
+from maniple.recording.info import describe
 from maniple.recording.reader import read
+from maniple.recording.selection import Selection
 from maniple.recording.split import PartsWriter, Splits, ViewerChannel
 from maniple.recording.tally import GAPS_NAME
 from maniple.recording.writer import Latched, RecordingWriter, part, parts_of
@@ -67,6 +70,24 @@ def test_a_part_is_over_after_its_time(tmp_path: Path) -> None:
         assert all(path not in paths for paths in later)
         own = [record.log_time_ns for record in read(path).messages() if number == len(writer.paths)]
         assert not own or max(own) - min(own) < SECOND
+
+
+def test_a_part_that_is_gone_is_told_of(tmp_path: Path) -> None:
+    """In the middle, and the last; but not one that holds nothing, as after a crash."""
+    writer = writer_to(tmp_path, Splits(duration=SECOND))
+    fill(writer, traffic(100))
+    log, second, *_, last = writer.paths
+    assert read(log).lacking == ""
+    last.write_bytes(b"")
+    assert (read(log).lacking, len(read(log).passed_over)) == ("", 1)
+    last.unlink()
+    assert read(log).lacking == f"{writer.paths[-2]} goes on in {last.name}, which is not there"
+    whole = Selection(start_ns=0)
+    assert read(cut(read(log), whole, tmp_path / "b.mcap").out).lacking == ""
+    second.unlink()
+    assert read(log).paths == (log,)
+    assert read(log).lacking == f"{log} goes on in {second.name}, which is not there"
+    assert describe(read(log)).lacking == read(log).lacking
 
 
 def test_a_part_is_over_soon_after_its_size(tmp_path: Path) -> None:

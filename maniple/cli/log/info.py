@@ -46,6 +46,8 @@ def _print(file: Path, found: Info) -> None:
         console.print(Text(f"left out on purpose: {line}"), soft_wrap=True)
     for line in found.passed_over:
         console.print(Text(f"passed over: {line}"), soft_wrap=True)
+    if found.lacking:
+        console.print(Text(f"lacking: {found.lacking}", style="yellow"), soft_wrap=True)
     for line in found.damage:
         console.print(Text(f"damaged: {line}", style="red"), soft_wrap=True)
     if found.damage:

@@ -23,6 +23,7 @@ from maniple.core.scenario.check import require_valid
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import to_seconds
 from maniple.host.verification import Census, Proof, Speaker, census, problems_of, prove
+from maniple.recording.absence import Absences
 from maniple.recording.compare import Tolerance
 from maniple.recording.reader import Recording, read
 
@@ -171,7 +172,13 @@ def _notes(recording: Recording, nodes: Sequence[str], said: Census, proofs: Seq
         )
     if not recording.complete:
         notes.append("the recorder did not finish the recording: what it proves ends where that does")
+    if recording.lacking:
+        notes.append(f"{recording.lacking}: what is proved ends before that")
     notes += recording.passed_over
+    notes += [
+        f"left out on purpose: {said}"
+        for said in Absences(recording.all_metadata, recording.start_ns).texts(recording.start_ns)
+    ]
     speakers = {one.source for one in said.speakers}
     proved = {(proof.node, proof.incarnation) for proof in proofs}
     for name in nodes:

@@ -14,7 +14,10 @@ from maniple.cli.loading import loads
 from maniple.cli.log.group import app
 from maniple.cli.log.proving import groups
 from maniple.core.errors import ArgumentError, ManipleError, RecordingError, ScenarioError
+from maniple.core.time import SECOND
+from maniple.recording.cut import cut
 from maniple.recording.reader import Recorded, read
+from maniple.recording.selection import Selection
 from tests.cli.scenes import SMALL, start
 from tests.host.recorded import flipped, rewrite, without
 
@@ -157,6 +160,13 @@ def test_another_machine_and_version_are_told_of(run: Path, tmp_path: Path) -> N
     assert "it was made on another machine type (numpy 1.0, here " in notes[1]
     assert "CPU features only there MMX, only here " in notes[1]
     assert "use --tolerance" in notes[1]
+
+
+def test_what_was_left_out_is_told_of(run: Path, tmp_path: Path) -> None:
+    recording = read(run)
+    cut(recording, Selection(end_ns=recording.start_ns + 2 * SECOND), tmp_path / "cut.mcap")
+    found = figures(tmp_path / "cut.mcap")
+    assert found["notes"] == ["left out on purpose: from 2.000 s: cut off"]
 
 
 def test_a_recording_that_was_not_finished(run: Path, tmp_path: Path) -> None:
