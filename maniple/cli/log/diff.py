@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from maniple.cli.log.options import From, Topics, Until, Without, selection_of
+from maniple.core.errors import ArgumentError
 
 if TYPE_CHECKING:
     from maniple.report.comparison import Apart, FieldChange, FigureRow
@@ -83,6 +84,8 @@ def diff(
     given = tolerances_of(tolerance or (), ignore or ())
     limits = (Tolerances() if tolerances is None else read_tolerances(tolerances)).and_then(given)
     one, other = read(a), read(b)
+    if not (one.topics or other.topics):
+        raise ArgumentError(f"neither {a} nor {b} holds a message: there is nothing to compare")
     way = by.value if by else usual_way(one, other)
     require_by_message(way, **{"from": start, "until": until, "topic": topic, "without": without})
     selection = selection_of(one, start, until, topic, without)

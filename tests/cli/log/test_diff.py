@@ -136,3 +136,14 @@ def test_files_that_are_no_recordings(runs: tuple[Path, Path], tmp_path: Path) -
         result = diff(*pair)
         assert isinstance(result.exception, RecordingError)
     assert diff(runs[0]).exit_code == 2
+
+
+def test_nothing_is_not_the_same_as_nothing(tmp_path: Path, runs: tuple[Path, Path]) -> None:
+    recording = read(runs[0])
+    empty = tmp_path / "empty.mcap"
+    with RecordingWriter(empty, recording.scenario_json, dict(recording.metadata), prefix="maniple"):
+        pass
+    result = diff(empty, empty)
+    assert isinstance(result.exception, ArgumentError)
+    assert "there is nothing to compare" in str(result.exception)
+    assert diff(runs[0], empty).exit_code == 1
