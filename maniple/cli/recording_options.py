@@ -54,6 +54,8 @@ class RecordingOptions(msgspec.Struct, frozen=True):
             raise ArgumentError("min free: must not be negative")
         for pattern in (*self.topics, *self.without):
             matches(pattern, "")
+        if "**" in self.without:
+            raise ArgumentError("without **: nothing would be recorded")
 
     @property
     def splits(self) -> Splits:

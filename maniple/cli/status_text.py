@@ -13,6 +13,13 @@ from maniple.cli.progress import MODE_COLOURS
 _COLUMNS = ("robot", "mode", "guard", "command age", "worst", "odometry age", "round trip")
 _LEFT = 3
 
+_RECORDERS = {
+    "paused": "is paused",
+    "rolling": "only remembers the last seconds",
+    "keeping": "only remembers the last seconds, and writes them",
+}
+"""What recorders do that do not record."""
+
 
 class Pair(NamedTuple):
     """All topics from one node to another."""
@@ -63,7 +70,8 @@ def _heads(state: PlatoonState) -> Iterator[RenderableType]:
     for recorder in state.recorders:
         if recorder.state != "recording":
             why = f": {recorder.reason}" if recorder.reason else ""
-            yield Text(f"recorder {recorder.name} is {recorder.state}{why}", style="yellow")
+            does = _RECORDERS.get(recorder.state, recorder.state)
+            yield Text(f"recorder {recorder.name} {does}{why}", style="yellow")
     yield Text("faults: ").append(_faults(state))
 
 

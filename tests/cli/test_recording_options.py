@@ -46,6 +46,7 @@ def test_what_is_no_size(text: str) -> None:
         ({"compression": "lz4"}, "must be zstd or none"),
         ({"min_free_bytes": -1}, "min free"),
         ({"topics": ("a//b",)}, "topic pattern 'a//b'"),
+        ({"topics": ("hw/**",), "without": ("**",)}, "nothing would be recorded"),
         ({"without": ("",)}, "topic pattern"),
     ],
 )

@@ -139,7 +139,7 @@ def test_a_recorder_that_does_not_record_is_told() -> None:
     )
     assert text(msgspec.structs.replace(state(), recorders=recorders))[2:5] == [
         "recorder b-2 is paused: lunch",
-        "recorder c-3 is rolling",
+        "recorder c-3 only remembers the last seconds",
         "faults: none",
     ]
 
