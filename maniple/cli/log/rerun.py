@@ -63,8 +63,8 @@ def rerun(
     have sent is compared with what they sent. Without --set that has to be the same.
 
     Exit status: 0 it was run again, and without --set all is the same; 1 it could not be to its end, or is
-    not the same without --set; 2 bad input; 130 interrupted. A realtime recording that is run again with
-    --closed-loop is never the same to the byte, and none is asked of it.
+    not the same without --set; 2 bad input; 130 interrupted (then no recording is left behind). A realtime
+    recording that is run again with --closed-loop is never the same to the byte, and none is asked of it.
     """
     from maniple.cli.extensions import require_layers
     from maniple.cli.loading import loads
@@ -152,6 +152,7 @@ def _closed_loop(
             course.inputs,
         )
     if outcome.interrupted:
+        log.unlink()
         return 130
     exact = recording.metadata.get("mode") == "virtual" and not changed
     compared = compare(recording, read(log), Tolerances(), "message" if exact else "time")

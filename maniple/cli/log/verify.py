@@ -180,11 +180,15 @@ def _name(proof: "Proof") -> str:
     return f"{proof.node} (life {proof.incarnation})"
 
 
+def _count(number: int, one: str, more: str) -> str:
+    return f"{number} {one if number == 1 else more}"
+
+
 def _verdict(found: "Verification", wall_s: float) -> str:
     messages = sum(proof.messages for proof in found.lives)
     near = sum(proof.near for proof in found.lives)
     pace = f"{found.duration_s:.1f} s in {wall_s:.1f} s"
-    lives = f"{len(found.lives)} lives of {len(found.nodes)} nodes"
+    lives = f"{_count(len(found.lives), 'life', 'lives')} of {_count(len(found.nodes), 'node', 'nodes')}"
     how = f"{messages} messages are identical" + f", {near} within the tolerance" * bool(near)
     if found.holds:
         return f"proved: {how}; {lives}, {pace}"

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from msgspec.structs import replace
@@ -13,6 +14,7 @@ from maniple.cli.loading import loads
 from maniple.cli.log.group import app
 from maniple.cli.machine import describe_machine
 from maniple.cli.operator import publish
+from maniple.cli.outcome import Outcome
 from maniple.cli.progress import Progress
 from maniple.cli.virtual import run_virtual
 from maniple.core import codec, topics
@@ -158,6 +160,17 @@ def test_a_closed_loop_without_changes_gives_the_same_file(log: Path, tmp_path: 
     assert result.exit_code == 0, result.output
     assert "messages identical" in result.stdout
     assert again.read_bytes() == log.read_bytes()
+
+
+def test_a_closed_loop_that_is_interrupted_leaves_nothing(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*arguments: Any) -> Outcome:
+        return run_virtual(*arguments)._replace(interrupted=True)
+
+    monkeypatch.setattr("maniple.cli.virtual.run_virtual", interrupted)
+    assert rerun(log, "--closed-loop", "--out", tmp_path / "again.mcap").exit_code == 130
+    assert not [*tmp_path.iterdir()]
 
 
 def test_a_closed_loop_with_another_gain(log: Path) -> None:
