@@ -26,6 +26,7 @@ from maniple.host.verification import Census, Proof, Speaker, census, problems_o
 from maniple.recording.absence import Absences
 from maniple.recording.compare import Tolerance
 from maniple.recording.reader import Recording, read
+from maniple.recording.recover import RECOVERED_NAME
 
 SMALL = 2 << 20
 """Bytes of a recording for which it is not worth to start processes."""
@@ -172,6 +173,11 @@ def _notes(recording: Recording, nodes: Sequence[str], said: Census, proofs: Seq
         )
     if not recording.complete:
         notes.append("the recorder did not finish the recording: what it proves ends where that does")
+    notes += [
+        f"it was recovered from a file of which {lost} bytes were lost"
+        for part in recording.all_metadata
+        if (lost := part.get(RECOVERED_NAME, {}).get("lost_bytes", "0")) != "0"
+    ]
     if recording.lacking:
         notes.append(f"{recording.lacking}: what is proved ends before that")
     notes += recording.passed_over

@@ -17,6 +17,7 @@ from maniple.core.errors import ArgumentError, ManipleError, RecordingError, Sce
 from maniple.core.time import SECOND
 from maniple.recording.cut import cut
 from maniple.recording.reader import Recorded, read
+from maniple.recording.recover import recover
 from maniple.recording.selection import Selection
 from tests.cli.scenes import SMALL, start
 from tests.host.recorded import flipped, rewrite, without
@@ -176,6 +177,10 @@ def test_a_recording_that_was_not_finished(run: Path, tmp_path: Path) -> None:
     found = figures(path)
     assert {one["ended"] for one in found["lives"]} == {"cut"}
     assert any("did not finish" in note for note in found["notes"])
+    recovered = recover(path)
+    assert recovered.lost_bytes > 0
+    told = f"it was recovered from a file of which {recovered.lost_bytes} bytes were lost"
+    assert told in figures(Path(recovered.out))["notes"]
 
 
 @pytest.mark.parametrize(
