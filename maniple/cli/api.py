@@ -106,7 +106,7 @@ def run(
     resolved = _resolved(scenario, overrides, seed)
     require_layers(resolved)
     _require_recordable(resolved, virtual, recording)
-    for notice in notices(recording, resolved):
+    for notice in notices(recording, resolved) if virtual else ():  # else the recorder says it
         on_notice(notice)
     path = given or _new_path(f"{resolved.name}-{'virtual-' if virtual else ''}")
     Space(path.parent, recording.min_free_bytes).require()
