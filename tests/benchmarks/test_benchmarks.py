@@ -8,7 +8,7 @@ import pytest
 from benchmarks.__main__ import NAMES, benchmark, machine, main
 from benchmarks.common import Budget, Row, best_of, cells, cpu_us, figure, quantile, show
 
-SLOW = ("agent_footprint", "recorder")
+SLOW = ("agent_footprint", "compensation", "play", "recorder")
 
 
 @pytest.mark.parametrize(

@@ -50,6 +50,7 @@ def tiny() -> Study:
     return study(TINY, workers=1)
 
 
+@pytest.mark.slow
 def test_the_same_starts_give_the_same_tables(tiny: Study) -> None:
     assert tables(study(TINY, workers=1)) == tables(tiny)
 

@@ -13,6 +13,7 @@ SCENE = ROOT / "sweeps" / "free-space.toml"
 OPEN = ("guard.clearance=false", "guard.hold_after_s=1000", "guard.stop_after_s=1001")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("layer", "share", "holds"),
     [("drive", 0.8, True), ("drive", 1.2, False), ("kinematics", 0.75, True)],

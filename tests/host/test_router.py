@@ -267,6 +267,7 @@ def test_a_router_dies_and_freezes_as_the_plan_says() -> None:
         assert isinstance(met.get(timeout=DEADLINE_S), Death)
 
 
+@pytest.mark.slow
 def test_one_that_starts_in_the_time_of_its_death_is_away_for_the_rest_of_it() -> None:
     clock = Anchor.here()
     plan = msgspec.convert(

@@ -98,6 +98,7 @@ def test_the_page_needs_nothing_else(written: Report) -> None:
     assert "dead reckoning explains up to" in text
 
 
+@pytest.mark.slow
 def test_the_same_recording_gives_the_same_bytes(log: Path, written: Report, tmp_path: Path) -> None:
     again = write(log, tmp_path / "again")
     for one, other in zip((written.page, *written.pictures), (again.page, *again.pictures), strict=True):

@@ -102,6 +102,7 @@ def test_realtime_runs_are_compared_by_time(runs: tuple[Path, Path], tmp_path: P
     assert "they differ in 1 of" in told
 
 
+@pytest.mark.slow
 def test_pictures(runs: tuple[Path, Path], tmp_path: Path) -> None:
     result = diff(*runs, "--plot", tmp_path / "p", "--json")
     pictures = json.loads(result.stdout)["pictures"]

@@ -134,6 +134,7 @@ def test_the_reference_names_every_column(whole: Path) -> None:
         assert f"`{name}`" in text, name
 
 
+@pytest.mark.slow
 def test_recordings_are_kept_if_asked_for(tmp_path: Path) -> None:
     text = (
         GRID.replace("[5, 3]", "1").replace("[0.0, 0.4]", "[0.4]").replace("duration_s = 4", "duration_s = 1")
