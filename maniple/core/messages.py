@@ -414,7 +414,7 @@ class Call(msgspec.Struct, frozen=True, array_like=True, gc=False):
     kind: Literal["start", "message", "timer", "stop"]
     now_ns: int
     name: str = ""
-    """The topic of a message, or the timer."""
+    """The topic of a message, the timer, or at the start the digest of the scenario that the host runs."""
     source: str = ""
     incarnation: int = 0
     seq: int = 0

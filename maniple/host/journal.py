@@ -11,9 +11,9 @@ class JournalBuffer:
     def __init__(self) -> None:
         self._calls: list[Call] = []
 
-    def started(self, now: Time) -> None:
-        """`on_start` is about to be called."""
-        self._calls.append(Call("start", now))
+    def started(self, now: Time, scenario: str) -> None:
+        """`on_start` is about to be called, under the scenario with this digest."""
+        self._calls.append(Call("start", now, scenario))
 
     def received(self, envelope: Envelope, now: Time) -> None:
         """`on_message` is about to be called with what the envelope holds."""

@@ -16,6 +16,7 @@ from maniple.core.errors import MessageError, RunError
 from maniple.core.faults import NEVER, beside, dies_by, next_change, plan_of
 from maniple.core.messages import FaultPlan
 from maniple.core.node import Node
+from maniple.core.scenario.parse import digest_of, to_json
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import MILLISECOND, Duration, Time, from_seconds
 from maniple.host.clock import Anchor
@@ -49,7 +50,7 @@ class RealtimeHost:
         meet: Meet = meet,
     ) -> None:
         self._node = node
-        self._runner = NodeRunner(node, incarnation, scenario.rates)
+        self._runner = NodeRunner(node, incarnation, scenario.rates, digest_of(to_json(scenario)))
         self._seed = scenario.seed
         self._clock = clock
         self._own_clock = node_clock(scenario, node.name, clock.epoch_ns)

@@ -31,9 +31,9 @@ _NAME_LENGTH = 64
 
 
 class NodeRunner:
-    """One life of one node; `rates` are those of the scenario."""
+    """One life of one node; `rates` are those of the scenario, `scenario` is its digest."""
 
-    def __init__(self, node: Node, incarnation: int, rates: Rates | None = None) -> None:
+    def __init__(self, node: Node, incarnation: int, rates: Rates | None = None, scenario: str = "") -> None:
         self.node = node
         self.incarnation = incarnation
         stamper = Stamper(node.name, incarnation)
@@ -41,6 +41,7 @@ class NodeRunner:
         self._sent = stamper.sent
         self._told_sent: dict[str, int] = {}
         self._inlets = Inlets(rates or Rates())
+        self._scenario = scenario
         self._journal = JournalBuffer()
         self._counters: Counter[str] = Counter()
         self._refused: dict[tuple[str, str, str], int] = {}
@@ -50,7 +51,7 @@ class NodeRunner:
     def start(self, now: Time) -> list[Envelope]:
         """Begin; returns what the node sends."""
         self._counters_due = now + _COUNTERS_PERIOD
-        self._journal.started(now)
+        self._journal.started(now, self._scenario)
         return self._outgoing(self.node.on_start(now), now)
 
     def stop(self, decided: Sequence[Decided], now: Time) -> list[Envelope]:

@@ -127,6 +127,8 @@ class Proof(msgspec.Struct, frozen=True, kw_only=True):
     """That the node sends, but the recorder did not get."""
     altered: int = 0
     """Messages that the node got with bits flipped on the way; their bytes are in its journal."""
+    scenario: str = ""
+    """Digest of the scenario that its host ran; empty where the journal does not say."""
     met: tuple[Met, ...] = ()
     """Who it was told is there."""
     reason: str = ""
@@ -510,10 +512,20 @@ class _Again:
             unproved_s=to_seconds(tail),
             unrecorded=unrecorded,
             altered=matcher.altered,
+            scenario=_scenario_of(life),
             met=matcher.met(),
             reason=reason,
             divergence=matcher.first and _divergence(recording, life, matcher.first, tolerance, trace),
         )
+
+
+def _scenario_of(life: Life) -> str:
+    """The digest of the scenario that a life ran, as its start says."""
+    try:
+        call = next((call for call, _ in life.calls()), None)
+    except MessageError:
+        return ""
+    return call.name if call is not None and call.kind == "start" else ""
 
 
 def _divergence(

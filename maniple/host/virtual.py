@@ -14,6 +14,7 @@ from maniple.core.envelope import Envelope
 from maniple.core.faults import NEVER, back_at, beside, dead, dies_by, dies_with, plan_of
 from maniple.core.messages import FaultPlan
 from maniple.core.node import Node
+from maniple.core.scenario.parse import digest_of, to_json
 from maniple.core.scenario.types import Crash, Freeze, Scenario
 from maniple.core.streams import stream
 from maniple.core.time import VIRTUAL_EPOCH, Duration, Time, from_seconds
@@ -37,8 +38,10 @@ class _Seat:
 
     __slots__ = ("began", "clock", "froze", "frozen_until", "liveness", "runner")
 
-    def __init__(self, node: Node, life: int, scenario: Scenario, clock: NodeClock | None, now: Time) -> None:
-        self.runner = NodeRunner(node, life, scenario.rates)
+    def __init__(
+        self, node: Node, life: int, scenario: Scenario, digest: str, clock: NodeClock | None, now: Time
+    ) -> None:
+        self.runner = NodeRunner(node, life, scenario.rates, digest)
         self.clock = clock
         self.liveness = Liveness(
             node.name, from_seconds(scenario.network.lease_s), local=beside(node.name, scenario)
@@ -73,6 +76,7 @@ class VirtualHost:
     ) -> None:
         self.now: Time = VIRTUAL_EPOCH
         self._scenario = scenario
+        self._digest = digest_of(to_json(scenario))
         self._plan = plan_of(scenario, VIRTUAL_EPOCH)
         self._plan_mark = (-1, -1)
         self._plans = 0
@@ -167,7 +171,7 @@ class VirtualHost:
                 self._tell_life(name, False)
 
     def _seat(self, node: Node, life: int) -> _Seat:
-        return _Seat(node, life, self._scenario, self._clocks.get(node.name), self.now)
+        return _Seat(node, life, self._scenario, self._digest, self._clocks.get(node.name), self.now)
 
     def _start(self, name: str) -> None:
         """Begin a life of a node."""

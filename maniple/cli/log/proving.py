@@ -20,6 +20,7 @@ from maniple.cli.nodes import factories
 from maniple.core.errors import ArgumentError, RunError
 from maniple.core.node import Node
 from maniple.core.scenario.check import require_valid
+from maniple.core.scenario.parse import digest_of
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import to_seconds
 from maniple.host.verification import Census, Proof, Speaker, census, problems_of, prove
@@ -171,6 +172,11 @@ def _notes(recording: Recording, nodes: Sequence[str], said: Census, proofs: Seq
         notes.append(
             f"it was made on another machine type ({told}): rounding may differ there; use --tolerance"
         )
+    attached = digest_of(recording.scenario_json)
+    if others := [
+        f"{one.node} (life {one.incarnation})" for one in proofs if one.scenario not in ("", attached)
+    ]:
+        notes.append(f"{', '.join(others)} ran another scenario than the one in the recording")
     if not recording.complete:
         notes.append("the recorder did not finish the recording: what it proves ends where that does")
     notes += [

@@ -166,7 +166,7 @@ def _divergence(found: "Divergence", with_trace: bool) -> Iterable[str]:
 
 def _call(one: "Input") -> str:
     if one.kind != "message":
-        return f"{one.kind} {one.name}".strip()
+        return f"timer {one.name}" if one.kind == "timer" else one.kind
     text = json.dumps(one.message)
     shown = text if len(text) <= _WIDEST else f"{text[:_WIDEST]}..."
     return f"{one.name} {one.seq} of {one.source} (life {one.incarnation}) {shown}"

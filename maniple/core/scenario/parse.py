@@ -1,6 +1,7 @@
 """Data, as TOML or JSON decodes to, into a `Scenario` and back."""
 
 import copy
+import hashlib
 import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
@@ -68,6 +69,11 @@ def with_overrides(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[st
 def to_json(scenario: Scenario) -> bytes:
     """The scenario as indented JSON; `scenario_of(json_data(...))` gives an equal one back."""
     return msgspec.json.format(msgspec.json.encode(scenario), indent=2)
+
+
+def digest_of(scenario_json: bytes) -> str:
+    """Which scenario it is: the SHA-256 of `to_json`, in hexadecimal."""
+    return hashlib.sha256(scenario_json).hexdigest()
 
 
 def json_data(data: bytes) -> dict[str, Any]:

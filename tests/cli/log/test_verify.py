@@ -120,7 +120,10 @@ def test_a_gain_that_acted_and_one_that_did_not(run: Path, tmp_path: Path) -> No
     assert "NOT proved, " in text
 
     unused = replace(scenario, guard=replace(scenario.guard, gamma_per_s=scenario.guard.gamma_per_s + 1e-9))
-    assert figures(rewrite(run, tmp_path / "unused.mcap", same, unused))["holds"] is True
+    found = figures(rewrite(run, tmp_path / "unused.mcap", same, unused))
+    assert found["holds"] is True
+    (note,) = [one for one in found["notes"] if "another scenario" in one]
+    assert note.startswith("controller (life 1), controller (life 2), r1 (life 1), ")
 
 
 def test_another_scenario_than_the_recording_says(run: Path, tmp_path: Path) -> None:
