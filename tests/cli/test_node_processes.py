@@ -106,9 +106,10 @@ def test_who_is_told_to_end_is_gone_soon(tmp_path: Path, number: signal.Signals,
     with processes(tmp_path) as platoon:
         router = platoon.start("router")
         session = platoon.session()
-        nodes = [platoon.start("agent", "r1"), platoon.start("controller"), platoon.start("simulator")]
-        nodes.append(platoon.start("recorder", "--log", tmp_path / "a.mcap"))
-        for name in ("r1", "controller", "simulator", "recorder"):
+        nodes = [platoon.start("recorder", "--log", tmp_path / "a.mcap")]
+        eventually(lambda: lives(platoon, "recorder"))
+        nodes += [platoon.start("agent", "r1"), platoon.start("controller"), platoon.start("simulator")]
+        for name in ("r1", "controller", "simulator"):
             eventually(lambda name=name: lives(platoon, name))  # type: ignore[misc]
         heard = odometries(session)
         eventually(lambda: heard)
