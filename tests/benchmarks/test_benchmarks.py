@@ -8,11 +8,11 @@ import pytest
 from benchmarks.__main__ import NAMES, benchmark, machine, main
 from benchmarks.common import Budget, Row, best_of, cells, cpu_us, figure, quantile, show
 
-SLOW = ("agent_footprint", "compensation", "play", "recorder")
+QUICK = ("formation_tick", "range_kernel", "virtual_run")
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in NAMES]
+    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in NAMES]
 )
 def test_rows_are_whole(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     chosen = benchmark(name)

@@ -38,6 +38,7 @@ def test_a_line_for_each_placement_and_loss() -> None:
     assert text[2] == "| drive | 30% | 0.20 s | 0.15 s | 0.10 s | never |"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_run_of_every_sweep_is_valid(name: str) -> None:
     plan = plan_of(SWEEPS / f"{name}.toml")

@@ -269,6 +269,7 @@ class Platoon:
             self.say(topics.ranges(name), scan())
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @settings(deadline=None, max_examples=60, derandomize=True)
 @given(st.data())

@@ -260,6 +260,7 @@ def test_the_command(endpoint: str) -> None:
     assert (stopped.exit_code, stopped.stdout.splitlines()[0]) == (1, "EMERGENCY STOP")
 
 
+@pytest.mark.slow
 def test_watching_goes_on_until_it_is_interrupted(endpoint: str) -> None:
     watching = start("status", "--watch", "--json", "--connect", endpoint)
     assert watching.stdout is not None

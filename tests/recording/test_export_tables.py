@@ -147,6 +147,7 @@ def test_a_damaged_recording_leaves_no_trace(tmp_path: Path) -> None:
     assert [one.name for one in tmp_path.iterdir()] == ["a.mcap"]
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maniple.recording.table.BATCH_ROWS", 50)
     ranges = bytes(4 * 400)

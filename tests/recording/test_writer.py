@@ -140,6 +140,7 @@ def test_unknown_topic_is_recorded_without_a_schema(tmp_path: Path) -> None:
     assert (found.topic, found.data, found.message) == ("else/where", b"\x01", None)
 
 
+@pytest.mark.slow
 def test_too_many_topics(tmp_path: Path) -> None:
     with writer_to(tmp_path / "a.mcap") as writer:
         for number in range(65535):

@@ -28,7 +28,8 @@ def pairs(count: int, off: float = 0.01) -> list[Pair]:
     return found
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(12, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [3, 12])
 def test_all_pictures_are_written(tmp_path: Path, count: int) -> None:
     written = write(pairs(count), NAMES, tmp_path / "plots")
     assert [path.name for path in written[::2]] == ["formation.png", "drives.png", "differences.png"]

@@ -105,6 +105,7 @@ def test_the_same_recording_gives_the_same_bytes(log: Path, written: Report, tmp
         assert Path(one).read_bytes() == Path(other).read_bytes(), one
 
 
+@pytest.mark.slow
 def test_an_earlier_report_is_not_overwritten_unless_told(log: Path, written: Report, tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match=r"short-report is not empty.*--force"):
         write(log)
@@ -138,6 +139,7 @@ def test_a_recording_without_messages(log: Path, tmp_path: Path) -> None:
     assert "no word of the controller" in report.outcome
 
 
+@pytest.mark.slow
 def test_a_recording_that_was_cut(log: Path, tmp_path: Path) -> None:
     part = filtered(log, tmp_path / "part.mcap", lambda m: m.topic in ("sim/truth", "formation/state"))
     cut = tmp_path / "cut.mcap"

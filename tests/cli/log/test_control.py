@@ -98,6 +98,7 @@ def console(endpoint: str) -> Iterator[Console]:
         yield Console(endpoint, stack)
 
 
+@pytest.mark.slow
 def test_paused_and_resumed(endpoint: str, console: Console, tmp_path: Path) -> None:
     with recorder(endpoint, tmp_path, rolling=False):
         console.hear(3)
@@ -141,6 +142,7 @@ def test_kept_twice(endpoint: str, console: Console, tmp_path: Path) -> None:
     assert counts == [3, 7]
 
 
+@pytest.mark.slow
 def test_one_that_keeps_beside_one_that_records_everything(
     endpoint: str, console: Console, tmp_path: Path
 ) -> None:

@@ -142,6 +142,7 @@ def test_a_realtime_recording_too(tmp_path: Path, pace: tuple[str, ...]) -> None
     assert pairs(again) == pairs(log)
 
 
+@pytest.mark.slow
 def test_status_shows_the_platoon_of_the_recording(virtual: Path) -> None:
     with play(virtual, "--rate", "0.3", "--from", "1") as (_, endpoint):
         eventually(lambda: here(endpoint, "controller") and here(endpoint, "r1"))
@@ -166,6 +167,7 @@ def test_an_interrupt_ends_it_with_what_was_played(virtual: Path) -> None:
             assert found["lag_max_s"] >= 0.0
 
 
+@pytest.mark.slow
 def test_an_interrupt_while_a_listener_does_not_read(tmp_path: Path, virtual: Path) -> None:
     script = tmp_path / "deaf.py"
     script.write_text(
@@ -200,6 +202,7 @@ def test_an_interrupt_while_a_listener_does_not_read(tmp_path: Path, virtual: Pa
             deaf.communicate()
 
 
+@pytest.mark.slow
 def test_keys_on_a_terminal(virtual: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     ours, theirs = pty.openpty()
