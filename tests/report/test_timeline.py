@@ -3,6 +3,7 @@ from maniple.core.plans import BLANK
 from maniple.core.scenario.types import Crash, Fault, Formation, Freeze, Line, Partition
 from maniple.core.time import SECOND
 from maniple.report.timeline import Span, events_of, injected_of, spans_of
+from tests.core.test_happenings import state as state_of
 
 
 def spans(*said: tuple[float, str], end: float = 10.0, silent: float = 3.0) -> list[Span]:
@@ -25,19 +26,7 @@ def test_nothing_said_is_no_span() -> None:
 
 
 def state(t_s: float, **changes: object) -> FormationState:
-    values = {
-        "stamp_ns": round(t_s * SECOND),
-        "incarnation": 1,
-        "phase": "running",
-        "task_time_s": 0.0,
-        "task_duration_s": 1.0,
-        "reference": (0.0, 0.0, 0.0),
-        "reference_velocity": (0.0, 0.0, 0.0),
-        "chain": ("r1", "r2", "r3"),
-        "errors": b"",
-        "roster": (),
-    }
-    return FormationState(**(values | changes))  # type: ignore[arg-type]
+    return state_of(stamp_ns=round(t_s * SECOND), **changes)
 
 
 def test_changes_are_events() -> None:

@@ -7,7 +7,6 @@ from maniple.core import codec
 from maniple.core.messages import (
     EmergencyStop,
     FaultPlan,
-    FormationState,
     Goal,
     Message,
     Mission,
@@ -20,6 +19,7 @@ from maniple.core.messages import (
     pack_floats,
 )
 from maniple.recording.viz import Viewer
+from tests.core.test_happenings import state as state_of
 from tests.recording.viz.pictures import run
 
 
@@ -28,18 +28,7 @@ def floats(*shape: int, of: float = 0.0) -> bytes:
 
 
 def state(**changes: object) -> tuple[str, Message]:
-    values = {
-        "source": "controller",
-        "phase": "running",
-        "task_time_s": 0.0,
-        "task_duration_s": 1.0,
-        "reference": (0.0, 0.0, 0.0),
-        "reference_velocity": (0.0, 0.0, 0.0),
-        "chain": ("r1", "r2", "r3"),
-        "errors": b"",
-        "roster": (),
-    }
-    return "formation/state", FormationState(**(values | changes))  # type: ignore[arg-type]
+    return "formation/state", state_of(source="controller", **changes)
 
 
 def odometry(x: float, y: float, psi: float, frame: str = "r1") -> tuple[str, Message]:
