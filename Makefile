@@ -45,7 +45,7 @@ lock: .venv/installed
 
 .venv/usable: pyproject.toml
 	$(PYTHON) -m venv .venv
-	$(INSTALL) '.[report,planning,sweep,export]'
+	$(INSTALL) '.[report,planning,sweep,export,mavlink,ros2]'
 	touch $@
 
 # What the tests need besides is large: viewers, other readers.

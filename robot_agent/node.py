@@ -28,8 +28,9 @@ from maniple.core.node import Outgoing, Received
 from maniple.core.scenario.types import Robot, Scenario
 from maniple.core.time import Duration, Time, from_seconds, period, to_seconds
 from robot_agent import dead_reckoning, modes
+from robot_agent.drivers import BUILTIN as DRIVERS
 from robot_agent.drivers import capabilities_of
-from robot_agent.drivers.interface import COUNTS, EVENTS, within
+from robot_agent.drivers.interface import COUNTS, EVENTS, DriverFactory, within
 from robot_agent.emergency import Emergency
 from robot_agent.localisation import Localisation
 from robot_agent.orders import Orders
@@ -56,11 +57,16 @@ class RobotAgent:
     """
 
     def __init__(
-        self, scenario: Scenario, robot_id: str, incarnation: int = 1, parts: Parts = BUILTIN
+        self,
+        scenario: Scenario,
+        robot_id: str,
+        incarnation: int = 1,
+        parts: Parts = BUILTIN,
+        drivers: Mapping[str, DriverFactory] = DRIVERS,
     ) -> None:
         robot = _find(scenario, robot_id)
         model, layer = scenario.model_of(robot), scenario.placement.robot_from
-        capabilities = capabilities_of(scenario, robot)
+        capabilities = capabilities_of(scenario, robot, drivers)
         self._id = robot_id
         self._odometry, self._ranges = topics.odometry(robot_id), topics.ranges(robot_id)
         self._drive, self._status = topics.drive(robot_id), topics.status(robot_id)

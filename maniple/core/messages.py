@@ -81,6 +81,8 @@ class Odometry(Message, frozen=True, kw_only=True, gc=False):
     ticks: tuple[int, ...] = ()
     """The encoder counts this pose belongs to: with them a restarted agent knows how far the robot rolled
     on while it was dead. Empty before the first."""
+    motion_pose: tuple[float, float, float] | None = None
+    """Instead of `ticks`: the pose (m, m, rad) that the driver reported, in the driver's own frame."""
     motion_incarnation: int = 0
     """The life of the driver that counted them."""
 
@@ -128,6 +130,12 @@ class Status(Message, frozen=True, kw_only=True, gc=False):
     localised: bool = True
     """Whether it knows where its frame lies: false for one that was restarted and has not heard its own last
     odometry."""
+    controllable: bool = False
+    """Whether its drive is heard, and lets itself be controlled."""
+    estop_tested: bool = False
+    """Whether this life of the agent has stood by an emergency stop and was armed again."""
+    scenario: str = ""
+    """Digest of the scenario it runs, the first 16 digits."""
 
 
 class Command(Message, frozen=True, kw_only=True, gc=False):
@@ -315,6 +323,8 @@ class Drive(Message, frozen=True, kw_only=True, gc=False):
     w_radps: float
     active: bool
     """Whether the agent wants the driver active: false lets it brake and deactivate."""
+    controller_alive: bool = False
+    """Whether the controller is there, as far as the agent knows: a vehicle's own failsafe hangs on it."""
     v_mps: float = 0.0
     """Sideways to the left, for a robot that can."""
 
@@ -332,6 +342,21 @@ class Motion(Message, frozen=True, kw_only=True, gc=False):
     """Why it is not controllable; empty while it is."""
     applied_v_mps: float = 0.0
     """Sideways to the left, likewise."""
+    pose: tuple[float, float, float] | None = None
+    """Instead of `ticks`, from a drive that reckons itself: (m, m, rad) in the frame that the driver's
+    capabilities name, of the same point as for the model."""
+    twist: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """With `pose`: (u m/s, w rad/s, v m/s) as the drive measures them."""
+
+
+class ExternalPose(Message, frozen=True, kw_only=True, gc=False):
+    """Where a robot is, by somebody who sees it: motion capture, GNSS, SLAM. For vehicles that have no
+    position of their own."""
+
+    pose: tuple[float, float, float]
+    """(m, m, rad) in the world frame, of the same point as for the model."""
+    sigma: tuple[float, float, float] = (0.02, 0.02, 0.02)
+    """Standard deviation of each."""
 
 
 class Truth(Message, frozen=True, kw_only=True, gc=False):

@@ -25,8 +25,9 @@ class Topic(msgspec.Struct, frozen=True, kw_only=True):
     """The field of the scenario's rates that says how often instead."""
     stale_after_s: float = 0.0
     """Older than this, the last value says nothing about now; 0 for never."""
-    sender: str = ""
-    """Who may send it, as a node name or "{id}"; empty for anybody."""
+    senders: tuple[str, ...] = ()
+    """Who may send it, as node names with "{id}" for the robot; empty for anybody. Of several it is one for
+    each robot, as its scenario says."""
     network: Network = "fleet"
     priority: Literal["commands", "state", "sensors", "background"] = "state"
     congestion: Literal["drop", "block"] = "drop"
@@ -45,7 +46,7 @@ TOPICS: tuple[Topic, ...] = (
         rate_hz=20,
         paced_by="motion_hz",
         stale_after_s=0.5,
-        sender="{id}",
+        senders=("{id}",),
         latched=True,
         faults=True,
     ),
@@ -55,7 +56,7 @@ TOPICS: tuple[Topic, ...] = (
         rate_hz=10,
         paced_by="scan_hz",
         stale_after_s=0.5,
-        sender="{id}",
+        senders=("{id}",),
         priority="sensors",
         faults=True,
     ),
@@ -65,7 +66,7 @@ TOPICS: tuple[Topic, ...] = (
         rate_hz=2,
         paced_by="status_hz",
         stale_after_s=2.0,
-        sender="{id}",
+        senders=("{id}",),
         priority="background",
         faults=True,
     ),
@@ -75,7 +76,7 @@ TOPICS: tuple[Topic, ...] = (
         rate_hz=10,
         paced_by="control_hz",
         stale_after_s=0.5,
-        sender="controller",
+        senders=("controller",),
         priority="commands",
         faults=True,
     ),
@@ -85,7 +86,7 @@ TOPICS: tuple[Topic, ...] = (
         rate_hz=10,
         paced_by="control_hz",
         stale_after_s=1.0,
-        sender="controller",
+        senders=("controller",),
         latched=True,
         faults=True,
     ),
@@ -93,7 +94,7 @@ TOPICS: tuple[Topic, ...] = (
         pattern="formation/mission",
         type=messages.Mission,
         rate_hz=0,
-        sender="controller",
+        senders=("controller",),
         latched=True,
         faults=True,
     ),
@@ -114,7 +115,7 @@ TOPICS: tuple[Topic, ...] = (
         rate_hz=20,
         paced_by="drive_hz",
         stale_after_s=0.5,
-        sender="{id}",
+        senders=("{id}",),
         network="hardware",
         priority="commands",
     ),
@@ -124,7 +125,7 @@ TOPICS: tuple[Topic, ...] = (
         rate_hz=20,
         paced_by="motion_hz",
         stale_after_s=0.5,
-        sender="simulator",
+        senders=("simulator", "{id}-driver"),
         network="hardware",
     ),
     Topic(
@@ -133,7 +134,43 @@ TOPICS: tuple[Topic, ...] = (
         rate_hz=10,
         paced_by="scan_hz",
         stale_after_s=0.5,
-        sender="simulator",
+        senders=("simulator", "{id}-driver", "{id}-scanner"),
+        network="hardware",
+        priority="sensors",
+    ),
+    Topic(
+        pattern="hw/{id}/pose",
+        type=messages.ExternalPose,
+        rate_hz=10,
+        stale_after_s=0.5,
+        network="hardware",
+    ),
+    Topic(
+        pattern="sim/{id}/drive",
+        type=messages.Drive,
+        rate_hz=20,
+        paced_by="drive_hz",
+        stale_after_s=0.5,
+        senders=("{id}-vehicle",),
+        network="hardware",
+        priority="commands",
+    ),
+    Topic(
+        pattern="sim/{id}/motion",
+        type=messages.Motion,
+        rate_hz=20,
+        paced_by="motion_hz",
+        stale_after_s=0.5,
+        senders=("simulator",),
+        network="hardware",
+    ),
+    Topic(
+        pattern="sim/{id}/scan",
+        type=messages.Scan,
+        rate_hz=10,
+        paced_by="scan_hz",
+        stale_after_s=0.5,
+        senders=("simulator",),
         network="hardware",
         priority="sensors",
     ),
@@ -142,14 +179,14 @@ TOPICS: tuple[Topic, ...] = (
         type=messages.Truth,
         rate_hz=10,
         paced_by="truth_hz",
-        sender="simulator",
+        senders=("simulator",),
         network="hardware",
     ),
     Topic(
         pattern="journal/{id}",
         type=messages.Journal,
         rate_hz=5,
-        sender="{id}",
+        senders=("{id}",),
         priority="background",
         congestion="block",
     ),
@@ -158,7 +195,7 @@ TOPICS: tuple[Topic, ...] = (
         type=messages.LinkReports,
         rate_hz=1,
         stale_after_s=5.0,
-        sender="{id}",
+        senders=("{id}",),
         priority="background",
     ),
     Topic(pattern="host/alive", type=messages.Alive, rate_hz=0, network="host", recorded=False),
@@ -197,16 +234,29 @@ def topic(name: str) -> Topic:
 
 
 @lru_cache(4096)  # names may be forged
-def sender_of(name: str) -> str:
-    """The node that alone may send on a topic; empty where anybody may."""
+def senders_of(name: str) -> tuple[str, ...]:
+    """The nodes that alone may send on a topic; none where anybody may."""
     row = topic(name)
-    return row.sender.replace("{id}", name.split("/")[1]) if "{id}" in row.sender else row.sender
+    robot = name.split("/")[1] if "{id}" in row.pattern else ""
+    return tuple(sender.replace("{id}", robot) for sender in row.senders)
 
 
-def has_one_sender(name: str) -> bool:
-    """Whether a name is that of a topic on which one node alone may send."""
+def sender_of(name: str) -> str:
+    """The one node that may send on a topic; empty where several or all may."""
+    senders = senders_of(name)
+    return senders[0] if len(senders) == 1 else ""
+
+
+def may_send(name: str, source: str) -> bool:
+    """Whether a node may send on a topic."""
+    senders = senders_of(name)
+    return not senders or source in senders
+
+
+def has_known_senders(name: str) -> bool:
+    """Whether a name is that of a topic on which not everybody may send."""
     try:
-        return sender_of(name) != ""
+        return bool(senders_of(name))
     except MessageError:
         return False
 
@@ -250,6 +300,26 @@ def motion(robot: str) -> str:
 def scan(robot: str) -> str:
     """Topic of a robot's range finder."""
     return f"hw/{robot}/scan"
+
+
+def external_pose(robot: str) -> str:
+    """Topic of where others see a robot."""
+    return f"hw/{robot}/pose"
+
+
+def simulated_drive(robot: str) -> str:
+    """Topic of the commands to the simulated body of a robot that is presented as a vehicle."""
+    return f"sim/{robot}/drive"
+
+
+def simulated_motion(robot: str) -> str:
+    """Topic of how that body moves."""
+    return f"sim/{robot}/motion"
+
+
+def simulated_scan(robot: str) -> str:
+    """Topic of what that body's range finder sees."""
+    return f"sim/{robot}/scan"
 
 
 def links(node: str) -> str:

@@ -136,9 +136,9 @@ class Inlets:
 
     def _new_inlet(self, topic: str, source: str) -> _Inlet | None:
         """For a sender that may send on a topic."""
-        sender = topics.sender_of(topic)
-        others = 0 if sender else sum(known == topic for known, _ in self._inlets)
-        if sender not in ("", source) or others >= MOST_OPERATORS:
+        known = topics.has_known_senders(topic)
+        others = 0 if known else sum(name == topic for name, _ in self._inlets)
+        if not topics.may_send(topic, source) or others >= MOST_OPERATORS:
             return None
         inlet = self._inlets[topic, source] = _Inlet(topic)
         return inlet
@@ -146,7 +146,7 @@ class Inlets:
     def _believed(self, topic: str, source: str, incarnation: int) -> bool:
         """Whether a newer life may speak here: on the fleet network it has to have shown itself, where its
         name alone may send."""
-        if topics.topic(topic).network != "fleet" or not topics.sender_of(topic):
+        if topics.topic(topic).network != "fleet" or not topics.has_known_senders(topic):
             return True
         return incarnation in self._announced.get(source, ())
 

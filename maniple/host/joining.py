@@ -49,7 +49,7 @@ def restore(session: ZenohSession, clock: Anchor, held: Iterable[Envelope], live
     """Tell a router that came back what it knew, as far as it is known here."""
     held = tuple(held)
     for envelope in held:
-        if topics.sender_of(envelope.topic):
+        if topics.has_known_senders(envelope.topic):
             lives.seen(envelope.source, envelope.incarnation)
     seen = msgspec.json.encode(Seen(clock.told(time.monotonic_ns()), dict(lives.all())))
     session.put_raw(SEEN, seen, crc_of(seen))

@@ -329,7 +329,9 @@ class Player:
         what one of them alone may say."""
         if not self._others or any(matches(pattern, name) for pattern in self._selection.topics):
             return False
-        return is_order(name) or (topics.has_one_sender(name) and topics.sender_of(name) in self._others)
+        if is_order(name) or not topics.has_known_senders(name):
+            return is_order(name)
+        return not self._others.isdisjoint(topics.senders_of(name))
 
     def _before(self) -> tuple[Recorded, ...]:
         """The latched values at the start: of a recording that begins in the middle, those from before it."""

@@ -111,7 +111,7 @@ class RealtimeHost:
         for name in wanted:
             session = self._session(name)
             if session is not None and topics.sender_of(name) != self._node.name:
-                session.subscribe(name, self._inbox.arrived, self._inbox.unfit, topics.has_one_sender)
+                session.subscribe(name, self._inbox.arrived, self._inbox.unfit, topics.has_known_senders)
         latched = [
             Arrived(topic, data, time.monotonic_ns())
             for name in wanted

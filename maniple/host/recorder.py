@@ -112,7 +112,7 @@ class RecorderHost:
             RunError: it ended before that, as there is no room to write any more.
         """
         for session in self._sessions:
-            session.subscribe("**", self._inbox.arrived, self._inbox.unfit, self._has_one_sender)
+            session.subscribe("**", self._inbox.arrived, self._inbox.unfit, self._has_known_senders)
         fleet = self._sessions[0]
         fleet.watch(self._inbox.life)
         take_orders(fleet, self._name, self._inbox.asked)
@@ -192,8 +192,8 @@ class RecorderHost:
         if self._drawing is not None:
             self._drawing.draw(item.topic, item.data, arrival, time.monotonic_ns() - item.monotonic_ns)
 
-    def _has_one_sender(self, topic: str) -> bool:
-        return topic in self._known and topics.has_one_sender(topic)
+    def _has_known_senders(self, topic: str) -> bool:
+        return topic in self._known and topics.has_known_senders(topic)
 
     def _admits(self, topic: str) -> bool:
         """Whether a key is recorded: each takes room for good, and anybody may make up any number."""

@@ -295,7 +295,7 @@ def reexecute(life: Life, node: Node, inputs: Inputs) -> Iterator[Step]:
 def may_be_of(node: str, topic: str) -> bool:
     """Whether messages of a topic may be what a node itself says: not its host."""
     try:
-        return topics.sender_of(topic) in ("", node) and topics.topic(topic).type not in _HOSTS
+        return topics.may_send(topic, node) and topics.topic(topic).type not in _HOSTS
     except MessageError:
         return False
 

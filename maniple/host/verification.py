@@ -213,7 +213,7 @@ def census(recording: Recording, watch: Watch = lambda: None) -> Census:
     headless = disordered = 0
     following: dict[tuple[str, str, int], int] = {}
     changed: list[str] = []
-    owners: dict[str, tuple[str, bool, bool]] = {}
+    owners: dict[str, tuple[tuple[str, ...], bool, bool]] = {}
     for count, record in enumerate(recording.messages()):
         if count % _WATCHED == 0:
             watch()
@@ -236,9 +236,9 @@ def census(recording: Recording, watch: Watch = lambda: None) -> Census:
         known = owners.get(topic)
         if known is None:
             known = owners[topic] = _owner(topic)
-        owner, of_host, is_journal = known
+        owners_of, of_host, is_journal = known
         tallies[header.source, header.incarnation].add(header.stamp_ns, of_host, is_journal)
-        if owner not in ("", header.source):
+        if owners_of and header.source not in owners_of:
             foreign[f"{header.source} on {topic}"] += 1
     speakers = tuple(tally.speaker(*key) for key, tally in sorted(tallies.items()))
     return Census(speakers, headless, tuple(changed), dict(sorted(foreign.items())), disordered)
@@ -634,10 +634,10 @@ def longest_tail(life: Life) -> Duration:
     return round(LONGEST_TAIL * max(median(steps) / FLUSH_PERIOD if steps else 1.0, 1.0))
 
 
-def _owner(topic: str) -> tuple[str, bool, bool]:
+def _owner(topic: str) -> tuple[tuple[str, ...], bool, bool]:
     """Who alone may send on a topic, whether it is hosts that do, and whether it is a journal."""
     try:
-        owner, kind = topics.sender_of(topic), topics.topic(topic).type.__name__
+        owners, kind = topics.senders_of(topic), topics.topic(topic).type.__name__
     except MessageError:
-        return "", False, False
-    return owner, not may_be_of(owner, topic), kind == "Journal"
+        return (), False, False
+    return owners, not may_be_of(owners[0] if owners else "", topic), kind == "Journal"

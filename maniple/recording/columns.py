@@ -16,7 +16,17 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from maniple.core.messages import Command, FormationState, Message, Motion, Scan, Truth, unpack_floats
+from maniple.core.messages import (
+    Command,
+    ExternalPose,
+    FormationState,
+    Message,
+    Motion,
+    Odometry,
+    Scan,
+    Truth,
+    unpack_floats,
+)
 from maniple.core.time import SECOND, Time
 
 Kind: TypeAlias = Literal[
@@ -60,6 +70,11 @@ PARTS: Mapping[tuple[type, str], tuple[str, ...]] = {
     (FormationState, "errors"): ("x_m", "y_m", "psi_F_rad", "p_m", "q_m", "beta_rad"),
     (FormationState, "points"): ("x_m", "y_m"),
     (Motion, "applied"): ("u_mps", "w_radps"),
+    (Motion, "pose"): ("x_m", "y_m", "psi_rad"),
+    (Motion, "twist"): ("u_mps", "w_radps", "v_mps"),
+    (Odometry, "motion_pose"): ("x_m", "y_m", "psi_rad"),
+    (ExternalPose, "pose"): ("x_m", "y_m", "psi_rad"),
+    (ExternalPose, "sigma"): ("x_m", "y_m", "psi_rad"),
     (Truth, "poses"): ("x_m", "y_m", "psi_rad"),
     (Truth, "velocities"): ("u_mps", "w_radps"),
     (Truth, "clearances"): ("clearance_m",),

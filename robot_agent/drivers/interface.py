@@ -1,8 +1,8 @@
 """What an agent may expect of a driver, and a driver of its agent.
 
-A driver is an edge component: it may do I/O. It speaks `hw/ID/drive` (in), `hw/ID/motion` and `hw/ID/scan`
-(out) and nothing else, so an agent can't tell one from another. Watchdog and limits are not its job: they
-are in the agent's guard, and the hardware's own.
+A driver is an edge component: it may do I/O. Its process speaks `hw/ID/drive` (in), `hw/ID/motion` and
+`hw/ID/scan` (out) and nothing else, so an agent can't tell one from another. Watchdog and limits are not its
+job: they are in the agent's guard, in the driver's process, and the hardware's own.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,9 @@ from typing import Literal, NamedTuple, Protocol, TypeAlias
 
 from maniple.control.limits import Limits, Velocity
 from maniple.core.errors import ScenarioError
-from maniple.core.messages import Drive, DriverState, Motion, Scan
+from maniple.core.messages import Drive, DriverState, ExternalPose, Motion, Scan
+from maniple.core.scenario.types import Robot, Scenario
+from maniple.core.time import Time
 from robot_agent.modes import Event
 
 Step: TypeAlias = Literal["connect", "configure", "activate", "deactivate", "close", "fail"]
@@ -66,16 +68,20 @@ class Capabilities(NamedTuple):
     motion_hz: float
     scan_hz: float
     frame: str
-    """`frame_id` of the odometry made from its reports."""
+    """`frame_id` of the odometry made from its reports: `maniple.core.edges.WORLD` where they are given in
+    the world frame, else the robot's id."""
     v_max_mps: float = 0.0
     """Sideways, either way; 0 for one that can't."""
 
 
 class Driver(Protocol):
-    """Hardware, as a process beside an agent wraps it. Every step is one of `LIFE_CYCLE`.
+    """Hardware, as a process beside an agent wraps it (`maniple driver run`). Every step is one of
+    `LIFE_CYCLE`.
 
-    For drivers of real hardware, of which there is none here yet: what they are to implement. The simulator
-    speaks the same three topics as a node, without this class.
+    One thread calls it, every few milliseconds, with the time by its own clock (ns). No call blocks: what
+    takes longer is begun, and goes on in `read`. The process keeps the life cycle going, watches over the
+    agent, and clips what is written to the capabilities, for every driver alike. The simulator speaks the
+    same three topics as a node, without this class.
     """
 
     @property
@@ -88,25 +94,48 @@ class Driver(Protocol):
         """Where it is in its life."""
         ...
 
-    def take(self, step: Step) -> None:
-        """Take a step of the life cycle.
+    @property
+    def reason(self) -> str:
+        """Why it is not where it was asked to be, in words for people: what is waited for, what was refused.
+        Empty where all is well."""
+        ...
+
+    def take(self, step: Step, now: Time) -> None:
+        """Begin a step of the life cycle. `state` changes once the hardware has taken it; until then, and
+        where it refuses, `reason` says why. A step that is under way may be asked for again.
 
         Raises:
-            ManipleError: the step is not open in this state, or the hardware refuses it.
+            ManipleError: the step is not open in this state.
         """
         ...
 
-    def read(self) -> Sequence[Motion | Scan]:
-        """What came from the hardware since the last call: stamped when it was measured, with the state,
-        whether it is controllable, and if not, why."""
+    def read(self, now: Time) -> Sequence[Motion | Scan]:
+        """What came from the hardware since the last call, with the state, whether it is controllable, and if
+        not, why. Nothing while there is no news: stale values are never repeated."""
         ...
 
-    def write(self, drive: Drive) -> Velocity:
-        """Pass an order on. Returns what is actually applied, after clipping."""
+    def write(self, drive: Drive, now: Time) -> Velocity:
+        """Pass an order on. Returns what is actually applied, after its own clipping."""
         ...
 
-    def stop(self) -> None:
+    def see(self, pose: ExternalPose, now: Time) -> None:
+        """Take in where others see the robot. Drivers whose vehicles need none ignore it."""
+        ...
+
+    def stop(self, now: Time) -> None:
         """Bring the robot to a stand, in any state."""
+        ...
+
+
+class DriverFactory(Protocol):
+    """Makes the driver of a robot of a resolved scenario: what the entry points `maniple.drivers` name.
+
+    It does no I/O and imports nothing heavy: an agent makes one to know the capabilities. `endpoint` is the
+    router of the hardware network, empty where there is none yet.
+    """
+
+    def __call__(self, scenario: Scenario, robot: Robot, endpoint: str = "") -> Driver:
+        """Raises `ScenarioError` where the robot's parameters are not valid, with what would be."""
         ...
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from maniple.core import messages, topics
 from maniple.core.errors import MessageError
-from maniple.core.topics import TOPICS, sender_of, topic
+from maniple.core.topics import TOPICS, may_send, sender_of, senders_of, topic
 
 NAMED: dict[Callable[[str], str], type[messages.Message]] = {
     topics.odometry: messages.Odometry,
@@ -14,6 +14,10 @@ NAMED: dict[Callable[[str], str], type[messages.Message]] = {
     topics.drive: messages.Drive,
     topics.motion: messages.Motion,
     topics.scan: messages.Scan,
+    topics.external_pose: messages.ExternalPose,
+    topics.simulated_drive: messages.Drive,
+    topics.simulated_motion: messages.Motion,
+    topics.simulated_scan: messages.Scan,
     topics.journal: messages.Journal,
     topics.links: messages.LinkReports,
 }
@@ -72,7 +76,16 @@ def test_who_may_send() -> None:
     assert sender_of(topics.odometry("r1")) == "r1"
     assert sender_of(topics.command("r1")) == "controller"
     assert sender_of(topics.TRUTH) == "simulator"
-    assert sender_of(topics.motion("r1")) == sender_of(topics.scan("r1")) == "simulator"
+    assert senders_of(topics.motion("r1")) == ("simulator", "r1-driver")
+    assert senders_of(topics.scan("r1")) == ("simulator", "r1-driver", "r1-scanner")
+    assert sender_of(topics.scan("r1")) == "", "one of several"
+    assert may_send(topics.motion("r1"), "r1-driver")
+    assert not may_send(topics.motion("r1"), "r2-driver")
+    assert may_send(topics.external_pose("r1"), "cameras"), "anybody"
+    assert senders_of(topics.simulated_drive("r1")) == ("r1-vehicle",)
+    assert (
+        senders_of(topics.simulated_motion("r1")) == senders_of(topics.simulated_scan("r1")) == ("simulator",)
+    )
     assert sender_of(topics.DECISIONS) == "", "any receiver"
 
 

@@ -260,7 +260,8 @@ def _value(element: Any, name: str, parts: tuple[str, ...]) -> Any:
 
 def _place(name: str) -> int:
     """Where the parts of tuples are, as the docstrings of the messages have it."""
-    return {"0": 0, "1": 1, "x": 0, "y": 1, "psi": 2, "u": 0, "w": 1}[name.split(".")[-1].split("_")[0]]
+    places = {"0": 0, "1": 1, "x": 0, "y": 1, "psi": 2, "u": 0, "w": 1, "v": 2}
+    return places[name.split(".")[-1].split("_")[0]]
 
 
 def _same(found: Any, expected: Any) -> bool:

@@ -15,6 +15,7 @@ from maniple.core.scenario.places import start_pose
 from maniple.core.scenario.shapes import pointed
 from maniple.core.scenario.types import (
     Fault,
+    Mavlink,
     Parameters,
     PoseXY,
     RangeFinder,
@@ -54,12 +55,24 @@ def resolve(
     known_sensors = _referenced("sensor", scenario, scenario.sensors, sensors)
     frame = start_pose(scenario.task)
     robots = tuple(
-        replace(robot, pose=initial_pose(scenario, index, frame))
+        replace(robot, pose=initial_pose(scenario, index, frame), mavlink=_connected(robot, index))
         for index, robot in enumerate(scenario.robots)
     )
     return replace(
         scenario, robots=robots, models=known_models, sensors=known_sensors, faults=_filled(scenario.faults)
     )
+
+
+FIRST_PORT, PORT_STEP = 5760, 10
+"""Where presented MAVLink vehicles listen: ArduPilot's simulator numbers its instances likewise."""
+
+
+def _connected(robot: Robot, index: int) -> Mavlink:
+    """A presented vehicle is on this machine, unless said otherwise."""
+    link = robot.mavlink
+    if robot.presents != "mavlink" or link.connection:
+        return link
+    return replace(link, connection=f"tcp:127.0.0.1:{FIRST_PORT + PORT_STEP * index}")
 
 
 def _filled(faults: Sequence[Fault]) -> tuple[Fault, ...]:

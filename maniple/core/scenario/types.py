@@ -298,18 +298,79 @@ class RangeFinder(Parameters, frozen=True, kw_only=True):
         return len(self.transducers) or self.beams
 
 
+class Mavlink(Parameters, frozen=True, kw_only=True):
+    """The vehicle of a robot with `driver = "mavlink"`: an ArduPilot Rover (see docs/hardware.md)."""
+
+    connection: str = ""
+    """Where it is: "serial:/dev/ttyUSB0:57600", "udpin:0.0.0.0:14550" (it sends here), "udpout:HOST:PORT",
+    "tcp:HOST:PORT" or "tcpin:0.0.0.0:PORT" (it connects here). Of a presented robot by default a TCP port of
+    this machine."""
+    system_id: Annotated[int, Meta(ge=1, le=255)] = 1
+    """Its own; what others say on the same connection is not heard."""
+    component_id: Annotated[int, Meta(ge=1, le=255)] = 1
+    """Of its autopilot."""
+    gcs_system_id: Annotated[int, Meta(ge=1, le=255)] = 255
+    """Under which it is commanded; its MAV_GCS_SYSID."""
+    arm: bool = False
+    """Whether the driver arms it. By default a pilot does, and the driver waits for that."""
+    disarm: bool = True
+    """Whether it is disarmed on the way out, once it stands."""
+    origin: tuple[float, float, float] | None = None
+    """(latitude, longitude, degrees; altitude, m) of the world's (0, 0), with x east and y north: the same
+    for all vehicles. Their poses are in the world frame then; without it in a frame that begins where each
+    stands."""
+    external_pose: bool = False
+    """Whether it has no position of its own and is fed with what comes on `hw/ID/pose`."""
+
+
+class Ros2(Parameters, frozen=True, kw_only=True):
+    """The topics of a robot with `driver = "ros2"` (see docs/hardware.md)."""
+
+    router: str = ""
+    """Zenoh router of the ROS 2 side, as "tcp/192.168.1.12:7447"; by default that of the hardware network."""
+    layout: Literal["rmw_zenoh", "ros2dds"] = "rmw_zenoh"
+    """How ROS 2 topics are named there: by rmw_zenoh, or by zenoh-bridge-ros2dds in front of a DDS robot."""
+    domain_id: Annotated[int, Meta(ge=0, le=232)] = 0
+    """ROS_DOMAIN_ID."""
+    namespace: str = ""
+    """Of its topics, as "/r2"; by default the robot's id. "/" for none."""
+    cmd_vel: str = "cmd_vel"
+    """Where it takes velocities."""
+    odom: str = "odom"
+    """Where it says nav_msgs/Odometry."""
+    scan: str = "scan"
+    """Where it says sensor_msgs/LaserScan."""
+    stamped: bool = False
+    """Whether it takes geometry_msgs/TwistStamped instead of Twist, as diff_drive_controller does."""
+    in_world: bool = False
+    """Whether its odometry is in the world frame, as a localisation says it, not in a frame of its own."""
+
+
 class Robot(Parameters, frozen=True, kw_only=True):
     """One robot of the platoon."""
 
     id: Name
     """Its name in topics, commands and reports; unique, and not that of another node ("controller",
-    "simulator", "recorder", "router")."""
+    "simulator", "recorder", "router", or a robot's with "-driver", "-scanner" or "-vehicle")."""
     model: str = "pioneer-3dx"
     """A type of robot: one of `models`, or of the catalogue."""
     sensor: str = "sick-lms200"
     """A type of range finder: one of `sensors`, or of the catalogue."""
-    driver: Literal["simulator"] = "simulator"
-    """What its drive and sensors really are."""
+    driver: Name = "simulator"
+    """What its drive and sensors really are: "simulator", "mavlink", "ros2", or the name of an installed
+    driver (see docs/extending.md)."""
+    scans: Annotated[str, Meta(pattern=r"^([A-Za-z0-9][A-Za-z0-9_-]{0,63})?$")] = ""
+    """Where its scans come from if not from its driver: another one, as a laser on ROS 2 beside a MAVLink
+    drive."""
+    presents: Literal["nothing", "mavlink", "ros2"] = "nothing"
+    """Whether the simulator has a body for it that shows itself as such a vehicle, for its driver to connect
+    to: everything but the hardware is as with a real one."""
+    mavlink: Mavlink = Mavlink()
+    """Of a MAVLink vehicle."""
+    ros2: Ros2 = Ros2()
+    """Of a ROS 2 robot."""
+    options: dict[str, Any] = {}
+    """Parameters of an installed driver; what is valid is the driver's own affair."""
     control_point_m: Positive = 0.2
     """Distance a from the middle of the axle forward to the point that is controlled."""
     pose: PoseXY | None = None
@@ -495,6 +556,23 @@ class Guard(Parameters, frozen=True, kw_only=True):
     of it."""
     stop_after_s: PositiveSeconds | None = None
     """At this age it stands; by default what the control loop tolerates (see docs/architecture.md)."""
+    fence: tuple[Point, ...] = ()
+    """Geofence: corners of a simple polygon in the world, in order, that the circle around no robot's body
+    leaves, as far as the robot knows where it is; none by default."""
+
+
+class Preflight(Parameters, frozen=True, kw_only=True):
+    """What is looked at before the platoon moves."""
+
+    enabled: bool | None = None
+    """Whether anything is; by default where a robot's driver is not the simulator."""
+    estop: bool = True
+    """Whether every robot must have stood by an emergency stop, and been armed again, since its agent
+    started. (`maniple run` and `maniple preflight` do that.)"""
+    start_m: Positive = 1.0
+    """How far a robot that knows where in the world it is may be from its `pose`."""
+    start_rad: Positive = 0.5
+    """And how far it may be turned from it."""
 
 
 class Rates(Parameters, frozen=True, kw_only=True):
@@ -659,6 +737,8 @@ class Scenario(Parameters, frozen=True, kw_only=True):
     """Where the layers run."""
     guard: Guard = Guard()
     """The robots' own last word."""
+    preflight: Preflight = Preflight()
+    """What is looked at before the platoon moves."""
     rates: Rates = Rates()
     """How often things happen."""
     network: Links = Links()

@@ -88,7 +88,7 @@ def _life_of(message: Recorded) -> tuple[str, int] | None:
     """The life that sent a message, where it alone may: others have no liveliness tokens."""
     try:
         header = header_of(message.topic, message.data)
-        if header.incarnation > 0 and header.source and topics.sender_of(message.topic) == header.source:
+        if header.incarnation > 0 and header.source in topics.senders_of(message.topic):
             return header.source, header.incarnation
     except MessageError:
         pass

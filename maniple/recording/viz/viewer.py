@@ -119,7 +119,7 @@ class Viewer:
     def see(self, topic: str, message: Message, log_time_ns: Time) -> Sequence[Drawn]:
         """What a message of a topic that it `wants` gives to draw; nothing where another node sent it than
         may send on that topic."""
-        if message.source != (topics.sender_of(topic) or message.source):
+        if not topics.may_send(topic, message.source):
             return ()
         drawn = [*self._take(message, log_time_ns)]
         drawn += self._told(self._narrator.hear(message), log_time_ns)

@@ -8,7 +8,7 @@ import pytest
 from maniple.control.limits import Velocity, limits_of
 from maniple.core import topics
 from maniple.core.errors import ManipleError, ScenarioError
-from maniple.core.messages import Drive, DriverState, Motion, Scan, Status
+from maniple.core.messages import Drive, DriverState, ExternalPose, Motion, Scan, Status
 from maniple.core.node import Received
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import MILLISECOND
@@ -59,17 +59,18 @@ class Bench:
         self.capabilities = capabilities
         self.state: DriverState = "closed"
         self.controllable = True
+        self.reason = ""
         self._applied = Velocity()
         self._ticks = 0
 
-    def take(self, step: Step) -> None:
+    def take(self, step: Step, now: int) -> None:
         if (self.state, step) not in LIFE_CYCLE:
             raise ManipleError(f"driver: can't {step} while {self.state}")
         self.state = LIFE_CYCLE[self.state, step]
         if self.state != "active":
-            self.stop()
+            self.stop(now)
 
-    def read(self) -> list[Motion | Scan]:
+    def read(self, now: int) -> list[Motion | Scan]:
         self._ticks += round(1000 * self._applied[0])
         reason = "" if self.controllable else "a pilot has it"
         return [
@@ -82,16 +83,19 @@ class Bench:
             )
         ]
 
-    def write(self, drive: Drive) -> Velocity:
+    def write(self, drive: Drive, now: int) -> Velocity:
         if self.state == "active" and not drive.active:
-            self.take("deactivate")
+            self.take("deactivate", now)
         elif self.state == "configured" and drive.active:
-            self.take("activate")
+            self.take("activate", now)
         if self.state == "active":
             self._applied = Velocity(min(drive.u_mps, self.capabilities.u_max_mps), drive.w_radps)
         return self._applied
 
-    def stop(self) -> None:
+    def see(self, pose: ExternalPose, now: int) -> None:
+        pass
+
+    def stop(self, now: int) -> None:
         self._applied = Velocity()
 
 
@@ -108,12 +112,12 @@ def test_an_agent_follows_its_driver_through_its_life(
         nonlocal now
         for _ in range(n):
             now += 50 * MILLISECOND
-            for message in driver.read():
+            for message in driver.read(now):
                 agent.on_message(Received(topics.motion("r1"), message), now)
             agent.on_message(command_from(now, (0.2, 0.0)), now)
             ((_, drive),) = agent.on_timer(DRIVE, now)
             assert isinstance(drive, Drive)
-            driver.write(drive)
+            driver.write(drive, now)
             if driver.state != "active":
                 assert (drive.u_mps, drive.w_radps) == (0.0, 0.0)
         ((_, status),) = agent.on_timer(STATUS, now)
@@ -126,12 +130,12 @@ def test_an_agent_follows_its_driver_through_its_life(
         "closed",
         "the drive is in state closed",
     )
-    driver.take("connect")
+    driver.take("connect", now)
     assert ticks(2).mode == "waiting"
-    driver.take("configure")
+    driver.take("configure", now)
     status = ticks(40)
     assert (status.mode, status.driver, status.reason) == ("tracking", "active", "")
-    assert driver.write(Drive(u_mps=0.2, w_radps=0.0, active=True)) == (0.2, 0.0, 0.0)
+    assert driver.write(Drive(u_mps=0.2, w_radps=0.0, active=True), now) == (0.2, 0.0, 0.0)
 
     bench.controllable = False
     status = ticks(2)
@@ -139,18 +143,18 @@ def test_an_agent_follows_its_driver_through_its_life(
     bench.controllable = True
     assert ticks(3).mode == "tracking"
 
-    driver.take("fail")
+    driver.take("fail", now)
     status = ticks(2)
     assert (status.mode, status.driver, status.reason) == ("fault", "fault", "the drive is in state fault")
     with pytest.raises(ManipleError, match="can't activate while fault"):
-        driver.take("activate")
+        driver.take("activate", now)
     for step in ("close", "connect", "configure"):
-        driver.take(step)
+        driver.take(step, now)
     assert ticks(3).mode == "tracking"
 
     ((_, last), (_, status_at_end)) = agent.on_stop(now)
     assert isinstance(last, Drive)
-    driver.write(last)
+    driver.write(last, now)
     assert driver.state == "configured"
     assert isinstance(status_at_end, Status)
     assert (status_at_end.mode, status_at_end.reason) == ("stopped", "told to stop")

@@ -1,0 +1,63 @@
+"""The processes beside a robot's agent that do I/O with its hardware, and who of the robots is simulated."""
+
+from maniple.core.scenario.types import Robot, Scenario
+
+WORLD = "world"
+"""`frame_id` of odometry that is given in the world frame."""
+
+SIMULATOR = "simulator"
+"""The driver that is no process of its own."""
+
+SUFFIXES = ("-driver", "-scanner", "-vehicle")
+"""Of the names of these processes; no robot's id may be another's with one of them."""
+
+
+def driver_of(robot: str) -> str:
+    """The process of a robot's driver."""
+    return f"{robot}-driver"
+
+
+def scanner_of(robot: str) -> str:
+    """The process of the driver that brings its scans, where that is another."""
+    return f"{robot}-scanner"
+
+
+def vehicle_of(robot: str) -> str:
+    """The process that presents its simulated body as a vehicle."""
+    return f"{robot}-vehicle"
+
+
+def has_driver(robot: Robot) -> bool:
+    """Whether a process of its own drives it."""
+    return robot.driver != SIMULATOR
+
+
+def has_scanner(robot: Robot) -> bool:
+    """Whether another one brings its scans."""
+    return robot.scans not in ("", SIMULATOR, robot.driver)
+
+
+def has_vehicle(robot: Robot) -> bool:
+    """Whether its simulated body shows itself as a vehicle."""
+    return robot.presents != "nothing"
+
+
+def has_body(robot: Robot) -> bool:
+    """Whether the simulator has a body for it, so that there is ground truth."""
+    return not has_driver(robot) or has_vehicle(robot)
+
+
+def simulated(scenario: Scenario) -> tuple[Robot, ...]:
+    """The robots that have a body in the simulator."""
+    return tuple(robot for robot in scenario.robots if has_body(robot))
+
+
+def is_wired(scenario: Scenario) -> bool:
+    """Whether a driver of its own drives any robot: such a platoon runs by the wall clock only."""
+    return any(has_driver(robot) or has_scanner(robot) for robot in scenario.robots)
+
+
+def preflight_asked(scenario: Scenario) -> bool:
+    """Whether the platoon is looked at before it moves."""
+    asked = scenario.preflight.enabled
+    return is_wired(scenario) if asked is None else asked
