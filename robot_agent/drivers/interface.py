@@ -6,7 +6,7 @@ job: they are in the agent's guard, in the driver's process, and the hardware's 
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple, Protocol, TypeAlias
+from typing import Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from maniple.control.limits import Limits, Velocity
 from maniple.core.errors import ScenarioError
@@ -124,6 +124,17 @@ class Driver(Protocol):
 
     def stop(self, now: Time) -> None:
         """Bring the robot to a stand, in any state."""
+        ...
+
+
+@runtime_checkable
+class Answering(Protocol):
+    """A driver that may also tell what its vehicle says about itself; `maniple driver check` shows it."""
+
+    def answers(self) -> Mapping[str, str]:
+        """What the vehicle has answered so far, a few words each, in the order in which people want to read
+        it: "firmware", "mode", "armed", "ekf", "gps", "battery" and so on. Only what was heard; empty before
+        `connect`. It does no I/O."""
         ...
 
 
