@@ -307,6 +307,8 @@ class RobotAgent:
             counters={**self._host_counters, **self._counted},
             compensation=self._pipeline.compensation,
             localised=self._frame.known,
+            sees=not self._blind(now),
+            limits=(self._limits.u_max, self._limits.w_max, self._limits.v_max),
         )
         self._oldest_s = -1.0
         return Outgoing(self._status, status)

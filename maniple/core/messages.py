@@ -136,6 +136,10 @@ class Status(Message, frozen=True, kw_only=True, gc=False):
     """Whether this life of the agent has stood by an emergency stop and was armed again."""
     scenario: str = ""
     """Digest of the scenario it runs, the first 16 digits."""
+    sees: bool = True
+    """Whether it has the ranges that its layers or its guard go by; true for one that goes by none."""
+    limits: tuple[float, float, float] | None = None
+    """The most that it can do with its driver: (u m/s, w rad/s, v m/s)."""
 
 
 class Command(Message, frozen=True, kw_only=True, gc=False):
@@ -201,6 +205,18 @@ class Led(msgspec.Struct, frozen=True, array_like=True, gc=False):
     """1 counter-clockwise, -1 clockwise."""
 
 
+class Check(msgspec.Struct, frozen=True, array_like=True, gc=False):
+    """One line of the pre-flight check: something that has to hold before a robot moves."""
+
+    robot: str
+    item: str
+    """What is looked at; one of `central_controller.preflight.ITEMS`."""
+    holds: bool | None
+    """None: that can't be known yet."""
+    why: str = ""
+    """Why it does not hold; empty where it does."""
+
+
 class FormationState(Message, frozen=True, kw_only=True, gc=False):
     """The formation as the controller sees it."""
 
@@ -253,6 +269,9 @@ class FormationState(Message, frozen=True, kw_only=True, gc=False):
     progress: Progress = Progress()
     led: tuple[Led, ...] = ()
     """What the supervisor remembers."""
+    preflight: tuple[Check, ...] = ()
+    """Of a platoon that is looked at before it moves: every line for all robots until it has passed, then
+    those of the robots that have yet to pass it to be taken in again."""
 
 
 class Seat(msgspec.Struct, frozen=True, gc=False):
@@ -267,6 +286,8 @@ class Seat(msgspec.Struct, frozen=True, gc=False):
     """Of its odometry: the frame whose origin is the robot's initial pose."""
     lost: bool = False
     """Whether the others go on without it."""
+    passed: int = 0
+    """The last life of its agent that passed the pre-flight check; 0 for none, or where there is none."""
 
 
 class Mission(Message, frozen=True, kw_only=True):

@@ -24,6 +24,7 @@ from maniple.core.messages import (
     Motion,
     Odometry,
     Scan,
+    Status,
     Truth,
     unpack_floats,
 )
@@ -73,6 +74,7 @@ PARTS: Mapping[tuple[type, str], tuple[str, ...]] = {
     (Motion, "pose"): ("x_m", "y_m", "psi_rad"),
     (Motion, "twist"): ("u_mps", "w_radps", "v_mps"),
     (Odometry, "motion_pose"): ("x_m", "y_m", "psi_rad"),
+    (Status, "limits"): ("u_max_mps", "w_max_radps", "v_max_mps"),
     (ExternalPose, "pose"): ("x_m", "y_m", "psi_rad"),
     (ExternalPose, "sigma"): ("x_m", "y_m", "psi_rad"),
     (Truth, "poses"): ("x_m", "y_m", "psi_rad"),
