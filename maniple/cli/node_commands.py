@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from maniple.cli import vehicle_run
 from maniple.cli.interrupt import on_interrupt
 from maniple.core.errors import ArgumentError, ScenarioError
 from maniple.core.scenario.parse import parameters_of
@@ -33,6 +34,7 @@ COMMANDS: Mapping[str, str] = {
     "agent": "Run the agent of one robot.",
     "controller": "Run the formation controller.",
     "simulator": "Run the simulator, which stands for the physical world.",
+    "vehicle": vehicle_run.ABOUT,
     "recorder": "Record everything until interrupted.",
     "router": "Run a router: it relays everything and keeps the last value of every latched topic.",
     "finish": "Wait until the task is done, then end all processes of a platoon that nobody supervises.",
@@ -68,6 +70,8 @@ def _parser() -> ArgumentParser:
     made["agent"].set_defaults(run=_agent)
     made["controller"].set_defaults(run=_node, name="controller", hardware=None)
     made["simulator"].set_defaults(run=_node, name="simulator")
+    made["vehicle"].add_argument("robot", help="id of the robot")
+    made["vehicle"].set_defaults(run=vehicle_run.run)
     made["recorder"].set_defaults(run=_recorder)
     made["router"].set_defaults(run=_router)
     made["finish"].set_defaults(run=_finish)

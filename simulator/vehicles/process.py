@@ -1,0 +1,133 @@
+"""The process of a presented robot: between the simulated body and the vehicle it shows itself as.
+
+It is no node: it keeps no journal, and what it does is not run again. What it says to the body is numbered,
+stamped and sealed all the same, and recorded.
+"""
+
+import traceback
+from collections import Counter
+
+from maniple.core import topics
+from maniple.core.edges import vehicle_of
+from maniple.core.envelope import envelope_of
+from maniple.core.errors import ManipleError, MessageError, RunError
+from maniple.core.messages import Drive, Motion, Scan
+from maniple.core.scenario.types import Scenario
+from maniple.core.time import Time, period
+from maniple.host.clock import Anchor
+from maniple.host.inbox import Arrived, Inbox, Item, Stop, Unfit
+from maniple.host.inlets import Inlets
+from maniple.host.liveness import Life
+from maniple.host.stamper import Stamper
+from maniple.transport.zenoh import ZenohSession
+from simulator.vehicles.interface import STEP, Vehicle
+
+_STAND = Drive(u_mps=0.0, w_radps=0.0, active=False)
+
+
+class VehicleHost:
+    """Runs one life of the vehicle of `robot` until `stop` is called, or a newer life of it takes over."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        robot: str,
+        incarnation: int,
+        scenario: Scenario,
+        clock: Anchor,
+        fleet: ZenohSession,
+        hardware: ZenohSession,
+    ) -> None:
+        self._vehicle = vehicle
+        self._name = vehicle_of(robot)
+        self._incarnation = incarnation
+        self._clock = clock
+        self._fleet, self._hardware = fleet, hardware
+        self._topic = topics.simulated_drive(robot)
+        self._sources = (topics.simulated_motion(robot), topics.simulated_scan(robot))
+        self._again = period(scenario.rates.drive_hz)
+        self._stamper = Stamper(self._name, incarnation)
+        self._inlets = Inlets(scenario.rates)
+        self._inbox = Inbox()
+        self._newer = 0
+        self._order, self._sent = _STAND, -(2**62)
+        self.refused: Counter[str] = Counter()
+        """What arrived and was not taken in, by reason."""
+
+    def stop(self) -> None:
+        """Make `run` end; safe from a signal handler and from any thread."""
+        self._inbox.stop()
+
+    def run(self) -> None:
+        """Switch the vehicle on, run it, and leave the body standing.
+
+        Raises:
+            ManipleError: the vehicle can't be switched on.
+            RunError: it failed, or a newer life of it has taken over.
+        """
+        self._fleet.watch(self._inbox.life)
+        for source in self._sources:
+            self._hardware.subscribe(source, self._inbox.arrived, self._inbox.unfit, topics.has_known_senders)
+        for session in (self._fleet, self._hardware):
+            session.settle()
+        try:
+            self._vehicle.open(self._clock.now())
+            self._fleet.announce(self._name, self._incarnation)
+            self._go()
+        except ManipleError:
+            raise
+        except Exception as error:  # noqa: BLE001 - whatever fails, the body must not drive on
+            traceback.print_exc()
+            raise RunError(f"{self._name} failed: {type(error).__name__}: {error}") from None
+        finally:
+            now = self._clock.now()
+            self._send(_STAND, now)
+            self._vehicle.close(now)
+        if self._newer:
+            raise RunError(
+                f"{self._name} (incarnation {self._incarnation}) steps back: "
+                f"incarnation {self._newer} has taken over"
+            )
+
+    def _go(self) -> None:
+        due = self._clock.now()
+        while True:
+            for item in self._inbox.take(self._clock.wall_seconds(due - self._clock.now())):
+                if not self._take(item):
+                    return
+            now = self._clock.now()
+            if now >= due:
+                order = self._vehicle.step(now)
+                if order != self._order or now - self._sent >= self._again:
+                    self._send(order, now)
+                due += ((now - due) // STEP + 1) * STEP
+
+    def _take(self, item: Item) -> bool:
+        """Deal with what arrived; whether to go on."""
+        if isinstance(item, Arrived):
+            self._arrived(item)
+        elif isinstance(item, Unfit):
+            self.refused[item.reason] += 1
+        elif isinstance(item, Life):
+            if item.node == self._name and item.alive and item.incarnation > self._incarnation:
+                self._newer = item.incarnation
+        elif isinstance(item, Stop):
+            return False
+        return not self._newer
+
+    def _arrived(self, item: Arrived) -> None:
+        now = self._clock.now()
+        try:
+            envelope = envelope_of(item.topic, item.data)
+        except MessageError:
+            self.refused["malformed"] += 1
+            return
+        judged = self._inlets.judge(envelope, now)
+        if isinstance(judged, str):
+            self.refused[judged] += 1
+        elif isinstance(judged, Motion | Scan):
+            self._vehicle.see(judged, now)
+
+    def _send(self, order: Drive, now: Time) -> None:
+        self._order, self._sent = order, now
+        self._hardware.put(self._topic, self._stamper.stamp(self._topic, order, now).data)
