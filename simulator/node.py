@@ -5,12 +5,14 @@ from collections.abc import Mapping, Sequence
 from typing import TypedDict
 
 import numpy as np
+from msgspec.structs import replace
 
-from maniple.core import topics
-from maniple.core.geometry import Floats
-from maniple.core.messages import Drive, Motion, Scan, Truth, pack_floats
+from maniple.core import edges, topics
+from maniple.core.geometry import Floats, wrap
+from maniple.core.messages import Drive, ExternalPose, Motion, Scan, Truth, pack_floats
 from maniple.core.node import Outgoing, Received
-from maniple.core.scenario.types import PoseXY, RangeFinder, Scenario
+from maniple.core.scenario.types import PoseXY, RangeFinder, Robot, Scenario
+from maniple.core.streams import stream
 from maniple.core.time import Duration, Time, period
 from simulator.noise import RangeNoise
 from simulator.physics import Physics
@@ -19,9 +21,15 @@ from simulator.world import Complexes, Scene, outlines
 
 _RAYS_RAD = math.radians(1.0)
 
+_SIGHT = (0.02, 0.02, 0.02)
+"""Standard deviation of what is seen of a robot's pose: m, m, rad."""
+
 
 class Simulator:
-    """Stands for the physical world of a resolved scenario.
+    """Stands for the physical world of a resolved scenario, with those of its robots that have a body here.
+
+    A robot that is presented as a vehicle takes its orders from that vehicle and reports to it, on the topics
+    `sim/ID/*`, with its true pose and velocities: what a vehicle makes of them is its own affair.
 
     Raises:
         ScenarioError: a model's theta is no stable drive.
@@ -30,20 +38,34 @@ class Simulator:
     name = "simulator"
 
     def __init__(self, scenario: Scenario) -> None:
-        rates = scenario.rates
+        scenario = replace(scenario, robots=edges.simulated(scenario))
+        rates, robots = scenario.rates, scenario.robots
+        self._robots = tuple(robot.id for robot in robots)
+        self._presented = tuple(i for i, robot in enumerate(robots) if edges.has_vehicle(robot))
+        self._watched = tuple(
+            (i, topics.external_pose(robot.id), stream(scenario.seed, f"pose/{robot.id}"))
+            for i, robot in enumerate(robots)
+            if robot.presents == "mavlink" and robot.mavlink.external_pose
+        )
         self.timers: Mapping[str, Duration] = {
             "motion": period(rates.motion_hz),
             "scan": period(rates.scan_hz),
             "truth": period(rates.truth_hz),
+            **({"pose": period(topics.topic(self._watched[0][1]).rate_hz)} if self._watched else {}),
         }
-        self._robots = tuple(robot.id for robot in scenario.robots)
-        self._index = {topics.drive(robot): i for i, robot in enumerate(self._robots)}
+        self._index = {
+            (topics.simulated_drive if edges.has_vehicle(robot) else topics.drive)(robot.id): i
+            for i, robot in enumerate(robots)
+        }
         self.subscriptions = frozenset(self._index) | {topics.HOST_REFUSED}
-        self._motion_topics = tuple(topics.motion(robot) for robot in self._robots)
+        self._motion_topics = tuple(
+            (topics.simulated_motion if edges.has_vehicle(robot) else topics.motion)(robot.id)
+            for robot in robots
+        )
         self._physics = Physics(scenario)
-        models = [scenario.model_of(robot) for robot in scenario.robots]
+        models = [scenario.model_of(robot) for robot in robots]
         self._scene = Scene(scenario.world.obstacles, outlines(models))
-        sensors = sorted({robot.sensor for robot in scenario.robots})
+        sensors = sorted({robot.sensor for robot in robots if _scan_topic(robot)})
         self._banks = tuple(_SensorBank(scenario, sensor) for sensor in sensors)
 
     def on_start(self, now: Time) -> Sequence[Outgoing]:
@@ -59,10 +81,12 @@ class Simulator:
         return ()
 
     def on_timer(self, timer: str, now: Time) -> Sequence[Outgoing]:
-        """Read the encoders, sweep the range finders, or tell the truth."""
+        """Read the encoders, sweep the range finders, look where robots are, or tell the truth."""
         self._physics.advance(now)
         if timer == "motion":
             return self._motions()
+        if timer == "pose":
+            return self._sightings()
         return self._scans() if timer == "scan" else (self._truth(),)
 
     def on_stop(self, now: Time) -> Sequence[Outgoing]:
@@ -72,7 +96,7 @@ class Simulator:
 
     def _motions(self) -> list[Outgoing]:
         physics = self._physics
-        return [
+        motions = [
             Outgoing(
                 topic,
                 Motion(ticks=ticks, applied=(u, w), applied_v_mps=v, state=state, controllable=True),
@@ -81,6 +105,22 @@ class Simulator:
                 self._motion_topics, physics.ticks(), physics.drives(), strict=True
             )
         ]
+        if self._presented:
+            poses, twists = physics.poses().tolist(), physics.twists().tolist()
+            for i in self._presented:
+                topic, motion = motions[i]
+                motions[i] = Outgoing(topic, replace(motion, pose=tuple(poses[i]), twist=tuple(twists[i])))
+        return motions
+
+    def _sightings(self) -> list[Outgoing]:
+        """What somebody who sees the robots says of where they are, as motion capture would."""
+        poses = self._physics.poses()
+        seen = []
+        for i, topic, generator in self._watched:
+            error = generator.standard_normal(3) * _SIGHT
+            x, y, psi = (poses[i] + error).tolist()
+            seen.append(Outgoing(topic, ExternalPose(pose=(x, y, wrap(psi)), sigma=_SIGHT)))
+        return seen
 
     def _scans(self) -> list[Outgoing]:
         position, heading = self._physics.position(), self._physics.heading()
@@ -125,7 +165,11 @@ class _SensorBank:
 
     def __init__(self, scenario: Scenario, sensor: str) -> None:
         kind = scenario.sensors[sensor]
-        carriers = [(i, robot) for i, robot in enumerate(scenario.robots) if robot.sensor == sensor]
+        carriers = [
+            (i, robot)
+            for i, robot in enumerate(scenario.robots)
+            if robot.sensor == sensor and _scan_topic(robot)
+        ]
         eyes = [kind.transducers or (scenario.model_of(robot).sensor_mount,) for _, robot in carriers]
         self._rows = np.array([i for i, _ in carriers])
         self._fan = Fan(cone_of(kind) if kind.transducers else kind)
@@ -134,7 +178,7 @@ class _SensorBank:
         self._offset = np.array([[complex(x, y) for x, y, _ in places] for places in eyes])
         self._turn = np.array([[turn for *_, turn in places] for places in eyes])
         self._own = np.repeat(self._rows, self._turn.shape[1])
-        self._topics = tuple(topics.scan(robot.id) for _, robot in carriers)
+        self._topics = tuple(_scan_topic(robot) for _, robot in carriers)
         self._headers = tuple(_header(kind, places[0]) for places in eyes)
 
     def scans(self, position: Complexes, heading: Floats, scene: Scene) -> list[tuple[int, Outgoing]]:
@@ -152,6 +196,13 @@ class _SensorBank:
                 self._rows.tolist(), self._topics, self._headers, readings, strict=True
             )
         ]
+
+
+def _scan_topic(robot: Robot) -> str:
+    """Where the scans of a simulated range finder go; empty where something else brings the robot's scans."""
+    if edges.has_vehicle(robot) and robot.scans != edges.SIMULATOR:
+        return topics.simulated_scan(robot.id)
+    return "" if edges.has_scanner(robot) else topics.scan(robot.id)
 
 
 def cone_of(kind: RangeFinder) -> RangeFinder:

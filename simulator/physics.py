@@ -148,6 +148,12 @@ class Physics:
         """(u m/s, w rad/s), shape (n, 2)."""
         return np.asarray(self._state.velocity[:2].T)
 
+    def twists(self) -> Floats:
+        """(u m/s, w rad/s, v m/s), shape (n, 3)."""
+        twists = np.zeros((len(self.robots), 3))
+        twists[:, : len(self._state.velocity)] = self._state.velocity.T
+        return twists
+
     def sideways(self) -> Floats | None:
         """v of each robot, m/s, shape (n,); None where none can."""
         return np.asarray(self._state.velocity[2]) if self._sideways else None

@@ -8,9 +8,9 @@ import pytest
 from maniple.cli.loading import range_finders
 from maniple.control.returns import returns_of
 from maniple.core import codec, topics
-from maniple.core.messages import Drive, Motion, Scan, Truth, unpack_floats
+from maniple.core.messages import Drive, ExternalPose, Motion, Scan, Truth, unpack_floats
 from maniple.core.node import Node, Outgoing, Received
-from maniple.core.scenario.types import Circle, RangeFinder, Rates, Scenario
+from maniple.core.scenario.types import Circle, Mavlink, RangeFinder, Rates, Scenario
 from simulator.node import Simulator
 from tests.pioneer import PIONEER
 
@@ -168,3 +168,94 @@ def test_truth_has_sideways_speeds_where_some_robot_can(make_scenario: MakeScena
     v = 0.2 / 0.9965 * (1 - math.exp(-0.99 * 0.9965 / 0.2604))
     assert unpack_floats(truth.sideways) == pytest.approx([v, 0.0, 0.0], abs=1e-3)
     assert unpack_floats(truth.poses, 3)[0, 1] > 0.1
+
+
+def changed(scenario: Scenario, robot: int, **changes: object) -> Scenario:
+    """The scenario with one robot changed."""
+    robots = list(scenario.robots)
+    robots[robot] = msgspec.structs.replace(robots[robot], **changes)
+    return msgspec.structs.replace(scenario, robots=tuple(robots))
+
+
+def test_a_presented_robot_is_driven_by_its_vehicle_and_tells_it_its_pose(
+    make_scenario: MakeScenario,
+) -> None:
+    scenario = changed(make_scenario(POSES), 1, driver="mavlink", presents="mavlink")
+    simulator = Simulator(scenario)
+    assert simulator.subscriptions == {"hw/r1/drive", "sim/r2/drive", "hw/r3/drive", topics.HOST_REFUSED}
+    sent = run(simulator, 2000, w=0.3)
+    assert {name for name, _ in sent} == {
+        *("hw/r1/motion", "hw/r1/scan", "hw/r3/motion", "hw/r3/scan"),
+        *("sim/r2/motion", "sim/r2/scan", topics.TRUTH),
+    }
+    own, shown = last(sent, "hw/r1/motion"), last(sent, "sim/r2/motion")
+    assert isinstance(own, Motion)
+    assert isinstance(shown, Motion)
+    assert own.pose is None
+    assert shown.pose is not None
+    assert shown.ticks == own.ticks  # it is driven alike
+    truth = [m for name, m in sent if name == topics.TRUTH][-3]  # that of 25 ms after the last motion but one
+    before = [m for name, m in sent if name == "sim/r2/motion"][-2]
+    assert isinstance(truth, Truth)
+    assert isinstance(before, Motion)
+    assert before.pose == pytest.approx(unpack_floats(truth.poses, 3)[1], abs=0.01)
+    assert before.twist == pytest.approx((*unpack_floats(truth.velocities, 2)[1], 0.0), abs=0.01)
+
+
+def test_presenting_one_robot_changes_nothing_for_the_others(make_scenario: MakeScenario) -> None:
+    scenario = make_scenario(POSES, [Circle(centre=(2.0, 0.3), radius_m=0.3)])
+    plain = run(Simulator(scenario), 1000)
+    shown = run(Simulator(changed(scenario, 1, driver="mavlink", presents="mavlink")), 1000)
+    for topic in ("hw/r1/motion", "hw/r1/scan", "hw/r3/motion", "hw/r3/scan", topics.TRUTH):
+        assert [o for o in shown if o.topic == topic] == [o for o in plain if o.topic == topic]
+    assert [o.message for o in shown if o.topic == "sim/r2/scan"] == [
+        o.message for o in plain if o.topic == "hw/r2/scan"
+    ]
+
+
+def test_robots_without_a_body_are_not_there(make_scenario: MakeScenario) -> None:
+    scenario = make_scenario(POSES)
+    simulator = Simulator(changed(scenario, 1, driver="mavlink"))
+    assert simulator.subscriptions == {"hw/r1/drive", "hw/r3/drive", topics.HOST_REFUSED}
+    sent = run(simulator, 1000)
+    assert not [name for name, _ in sent if "r2" in name]
+    truth = last(sent, topics.TRUTH)
+    assert isinstance(truth, Truth)
+    assert truth.robots == ("r1", "r3")
+    alike = run(Simulator(scenario), 1000)  # the places of the others do not matter to its noise
+    scans = [o.message for o in sent if o.topic == "hw/r1/scan"]
+    assert len(scans) == len([o for o in alike if o.topic == "hw/r1/scan"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "topic"),
+    [
+        ({"driver": "mavlink", "presents": "mavlink", "scans": "simulator"}, "hw/r2/scan"),
+        ({"driver": "mavlink", "presents": "mavlink", "scans": "ros2"}, "sim/r2/scan"),
+        ({"scans": "ros2"}, ""),
+        ({"scans": "simulator"}, "hw/r2/scan"),
+    ],
+)
+def test_who_brings_the_scans_of_a_robot(
+    make_scenario: MakeScenario, changes: dict[str, str], topic: str
+) -> None:
+    sent = run(Simulator(changed(make_scenario(POSES), 1, **changes)), 200)
+    scans = {name for name, message in sent if isinstance(message, Scan)}
+    assert scans - {"hw/r1/scan", "hw/r3/scan"} == ({topic} - {""})
+
+
+def test_a_vehicle_without_a_position_of_its_own_is_seen_from_outside(make_scenario: MakeScenario) -> None:
+    needy = Mavlink(external_pose=True)
+    scenario = changed(make_scenario(POSES), 1, driver="mavlink", presents="mavlink", mavlink=needy)
+    simulator = Simulator(scenario)
+    assert simulator.timers["pose"] == 100 * MS
+    simulator.on_start(T0)
+    seen = [o for t in range(400) for o in simulator.on_timer("pose", T0 + t * 100 * MS)]
+    assert {o.topic for o in seen} == {"hw/r2/pose"}
+    poses = [o.message.pose for o in seen if isinstance(o.message, ExternalPose)]
+    errors = np.array(poses) - POSES[1]
+    assert errors.mean(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=0.004)
+    assert errors.std(axis=0) == pytest.approx([0.02, 0.02, 0.02], rel=0.15)
+    for name, message in seen[:3]:
+        assert codec.decode(name, codec.encode(message)) == message
+    assert "pose" not in Simulator(make_scenario(POSES)).timers
