@@ -1,22 +1,30 @@
-"""Implementations of layers that other packages bring, found by their entry points."""
+"""Implementations of layers, and drivers, that other packages bring, found by their entry points."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 
 from central_controller.planning import METHODS
 from central_controller.watched import LAWS, WatchedLaw, WatchedPlanner
 from maniple.control.builtin import BUILTIN
+from maniple.control.limits import limits_of
 from maniple.control.parts import Parts
 from maniple.control.pipeline import Pipeline
+from maniple.core.edges import SIMULATOR, has_scanner
 from maniple.core.errors import ScenarioError
 from maniple.core.layers import PIPELINE
-from maniple.core.scenario.types import Scenario
+from maniple.core.scenario.types import Robot, Scenario
+from robot_agent import drivers
+from robot_agent.drivers import capabilities_of
+from robot_agent.drivers.interface import DriverFactory, within
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 Kind: TypeAlias = Literal["formation-law", "planner", "kinematics", "avoidance", "compensation"]
 """The layers that can be replaced."""
+
+Extension: TypeAlias = Kind | Literal["driver"]
+"""All that other packages may bring."""
 
 
 class Place(NamedTuple):
@@ -28,12 +36,13 @@ class Place(NamedTuple):
     """By the names that scenarios use."""
 
 
-PLACES: Mapping[Kind, Place] = {
+PLACES: Mapping[Extension, Place] = {
     "formation-law": Place("maniple.formation_laws", LAWS),
     "planner": Place("maniple.planners", METHODS),
     "kinematics": Place("maniple.kinematics", BUILTIN.kinematics),
     "avoidance": Place("maniple.avoidance", BUILTIN.avoidance),
     "compensation": Place("maniple.compensation", BUILTIN.compensation),
+    "driver": Place("maniple.drivers", drivers.BUILTIN),
 }
 
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -42,7 +51,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 class Installed(NamedTuple):
     """One implementation that scenarios can name."""
 
-    kind: Kind
+    kind: Extension
     name: str
     package: str
     """What brings it, with its version."""
@@ -50,11 +59,11 @@ class Installed(NamedTuple):
     """Where it is: "module:attribute"; empty for a built-in one."""
 
 
-def installed() -> list[Installed]:
-    """All that there is, built-in first; nothing is imported. Whoever takes the name of a built-in one is not
-    there: scenarios mean the built-in one."""
+def installed(kinds: Sequence[Extension] = KINDS) -> list[Installed]:
+    """All that there is of some kinds, built-in first; nothing is imported. Whoever takes the name of a
+    built-in one is not there: scenarios mean the built-in one."""
     found = []
-    for kind in KINDS:
+    for kind in kinds:
         found += [Installed(kind, name, "maniple", "") for name in PLACES[kind].builtin if name]
         others = [point for point in _points(kind) if point.name not in PLACES[kind].builtin]
         for point in sorted(others, key=lambda point: point.name):
@@ -83,9 +92,25 @@ def parts_of(scenario: Scenario, on_robot: bool = False) -> Parts:
     )
 
 
+def drivers_of(scenario: Scenario, robots: Sequence[Robot] | None = None) -> Mapping[str, DriverFactory]:
+    """The built-in drivers, and those of others that a resolved scenario names for some of its robots, by
+    default for all.
+
+    Raises:
+        ScenarioError: as for `parts_of`.
+    """
+    named = [
+        (f"robots.{robot.id}.{field}", name)
+        for robot in (scenario.robots if robots is None else robots)
+        for field, name in (("driver", robot.driver), ("scans", robot.scans))
+        if name != SIMULATOR
+    ]
+    return _named("driver", named)
+
+
 def require_layers(scenario: Scenario) -> None:
-    """Refuse a resolved scenario with layers that are not installed on this machine, or that can't use their
-    parameters.
+    """Refuse a resolved scenario with layers or drivers that are not installed on this machine, or that can't
+    use their parameters.
 
     Raises:
         ScenarioError: says which, and which there are.
@@ -93,11 +118,15 @@ def require_layers(scenario: Scenario) -> None:
     parts = parts_of(scenario)
     WatchedLaw(scenario.controller, parts)
     WatchedPlanner(scenario.planning, parts)
+    known = drivers_of(scenario)
     for robot in scenario.robots:
         Pipeline(PIPELINE, scenario, robot, parts)
+        within(limits_of(scenario, robot), capabilities_of(scenario, robot, known), robot.id)
+        if has_scanner(robot):
+            known[robot.scans](scenario, robot)
 
 
-def implementation(kind: Kind, name: str, path: str) -> Any:
+def implementation(kind: Extension, name: str, path: str) -> Any:
     """The implementation of a name; messages call where it is named `path`.
 
     Raises:
@@ -108,7 +137,8 @@ def implementation(kind: Kind, name: str, path: str) -> Any:
         return builtin[name]
     points = [point for point in _points(kind) if point.name == name]
     if not points:
-        known = sorted({name for name in builtin if name} | {point.name for point in _points(kind)})
+        own = {SIMULATOR} if kind == "driver" else set()
+        known = sorted({name for name in builtin if name} | {point.name for point in _points(kind)} | own)
         names = ", ".join(known) or "none"
         raise ScenarioError(f"{path} = {name!r}: no such {kind} is installed; there are {names}")
     if len(points) > 1:
@@ -122,7 +152,7 @@ def implementation(kind: Kind, name: str, path: str) -> Any:
         ) from error
 
 
-def _named(kind: Kind, used: Iterable[tuple[str, str]]) -> Mapping[str, Any]:
+def _named(kind: Extension, used: Iterable[tuple[str, str]]) -> Mapping[str, Any]:
     """The built-in ones and those that are used."""
     return {
         **PLACES[kind].builtin,
@@ -135,7 +165,7 @@ def _package(point: "EntryPoint") -> str:
     return f"{point.dist.name} {point.dist.version}" if point.dist else "an unnamed package"
 
 
-def _points(kind: Kind) -> Iterable["EntryPoint"]:
+def _points(kind: Extension) -> Iterable["EntryPoint"]:
     from importlib.metadata import entry_points  # 4 MB that a node with built-in layers does without
 
     return entry_points(group=PLACES[kind].group)

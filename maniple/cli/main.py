@@ -28,7 +28,7 @@ def _run() -> None:
     from maniple.core.errors import ManipleError, RunError
 
     try:
-        if sys.argv[1:] and sys.argv[1] in node_commands.COMMANDS:
+        if node_commands.is_one(sys.argv[1:]):
             node_commands.main(sys.argv[1:])
         else:
             from maniple.cli.program import app

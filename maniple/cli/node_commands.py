@@ -1,4 +1,5 @@
-"""One process of a platoon: `maniple agent`, `controller`, `simulator`, `recorder`, `router`, `finish`.
+"""One process of a platoon: `maniple agent`, `driver run`, `controller`, `simulator`, `recorder`, `router`,
+`finish`.
 
 Parsed by the standard library: what the other commands need for theirs would take 15 MB and 0.4 s of each
 process of a run.
@@ -12,13 +13,13 @@ import time
 from argparse import ArgumentParser, ArgumentTypeError
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 from maniple.cli import vehicle_run
 from maniple.cli.interrupt import on_interrupt
 from maniple.core.errors import ArgumentError, ScenarioError
 from maniple.core.scenario.parse import parameters_of
-from maniple.core.scenario.types import Links, Scenario
+from maniple.core.scenario.types import Links, Robot, Scenario
 from maniple.host.clock import Anchor
 from maniple.host.ending import end_when_asked
 from maniple.transport.zenoh import DEFAULT_PORT, ZenohSession
@@ -41,8 +42,16 @@ COMMANDS: Mapping[str, str] = {
 }
 """What each does, by name."""
 
+DRIVER_RUN = ("driver", "run")
+"""Is one of them too; the other commands of `maniple driver` are for people."""
+
 Watch = Callable[[Callable[[], None]], None]
 """Takes what ends this process, and calls it when the supervisor is gone."""
+
+
+def is_one(arguments: Sequence[str]) -> bool:
+    """Whether the arguments of `maniple` name such a process."""
+    return bool(arguments) and (arguments[0] in COMMANDS or tuple(arguments[:2]) == DRIVER_RUN)
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -75,9 +84,31 @@ def _parser() -> ArgumentParser:
     made["recorder"].set_defaults(run=_recorder)
     made["router"].set_defaults(run=_router)
     made["finish"].set_defaults(run=_finish)
+    made["driver"] = _driver_parser(commands)
     for name, command in made.items():
         _add_options(name, command)
     return parser
+
+
+def _driver_parser(commands: Any) -> ArgumentParser:
+    group = commands.add_parser("driver", help="Drivers of robots.", allow_abbrev=False)
+    about = "Run the driver of one robot: what stands between its agent and its hardware."
+    command: ArgumentParser = group.add_subparsers(required=True).add_parser(
+        "run", help=about, description=about, epilog=_DRIVER_EPILOG, allow_abbrev=False
+    )
+    command.add_argument("robot", help="id of the robot")
+    command.add_argument(
+        "--scans", action="store_true", help="the driver that only brings its scans, where that is another"
+    )
+    command.set_defaults(run=_driver)
+    return command
+
+
+_DRIVER_EPILOG = (
+    "Stops the robot where its agent is not heard for 0.3 s, and when it is asked to end. Exit status: 0 "
+    "when it was asked to end, also by SIGINT and SIGTERM; 1 when a newer life of it has taken over, or it "
+    "failed; 2 bad input."
+)
 
 
 def _add_options(name: str, command: ArgumentParser) -> None:
@@ -187,46 +218,105 @@ def _seconds(text: str) -> float:
 
 
 def _agent(robot: str, scenario: str, **options: Any) -> None:
-    resolved, watch = _scenario(scenario)
-    known = [one.id for one in resolved.robots]
-    if robot not in known:
-        raise ScenarioError(f"robot {robot!r} is not in the scenario; robots are {', '.join(known)}")
-    _run_node(robot, resolved, watch, **options)
+    resolved, watch = scenario_given(scenario)
+    _run_node(robot_named(robot, resolved).id, resolved, watch, **options)
+
+
+def robot_named(robot: str, scenario: Scenario) -> Robot:
+    """The robot of this id.
+
+    Raises:
+        ScenarioError: there is none.
+    """
+    for one in scenario.robots:
+        if one.id == robot:
+            return one
+    known = ", ".join(one.id for one in scenario.robots)
+    raise ScenarioError(f"robot {robot!r} is not in the scenario; robots are {known}")
 
 
 def _node(name: str, scenario: str, **options: Any) -> None:
-    _run_node(name, *_scenario(scenario), **options)
+    _run_node(name, *scenario_given(scenario), **options)
 
 
-def _run_node(
+def _driver(**options: Any) -> None:
+    from maniple.cli.driver_run import run
+
+    run(**options)
+
+
+def _run_node(name: str, scenario: Scenario, watch: Watch, **options: Any) -> None:
+    from maniple.cli.nodes import factories
+    from maniple.host.realtime import RealtimeHost
+
+    make = factories(scenario).get(name)
+    if make is None:
+        raise ScenarioError(f"{name}: no robot of this scenario is simulated")
+    with joined(name, scenario, **options) as place:
+        if place is not None:
+            life, clock, fleet, hardware = place
+            run_host(name, RealtimeHost(make(life), life, scenario, clock, fleet, hardware), fleet, watch)
+
+
+class Place(NamedTuple):
+    """A process of a platoon in it."""
+
+    life: int
+    """Which one of its name it is."""
+    clock: Anchor
+    fleet: ZenohSession
+    hardware: ZenohSession
+    """The same session where it is the same network."""
+
+
+class Host(Protocol):
+    """What runs such a process."""
+
+    def run(self) -> None:
+        """Until the end."""
+
+    def stop(self) -> None:
+        """Make `run` end; safe from a signal handler and from any thread."""
+
+
+@contextlib.contextmanager
+def joined(
     name: str,
     scenario: Scenario,
-    watch: Watch,
     connect: str,
     hardware: str | None,
     anchor: str | None,
     wait: float,
     incarnation: int | None,
-) -> None:
-    from maniple.cli.nodes import factories
+) -> Iterator[Place | None]:
+    """Take a place in a platoon under a name; None where the fault plan has that dead for good.
+
+    Raises:
+        ArgumentError: `anchor` is no clock.
+        TransportError: the routers are not there in time, or who has this name is.
+    """
     from maniple.core.faults import dies_by
     from maniple.host.fate import wait_out
     from maniple.host.joining import await_router, claim, clock_of, plan_kept
-    from maniple.host.realtime import RealtimeHost
 
     told = _clock(anchor)
     with _networks(scenario, connect, hardware, wait) as (fleet, wired):
         await_router(fleet)
         clock = told or clock_of(fleet)
-        if not wait_out(name, dies_by(name, scenario), lambda: plan_kept(fleet), clock):
-            return
-        life = claim(fleet, name, incarnation, scenario.network.lease_s + CUT_OFF_S)
-        host = RealtimeHost(factories(scenario)[name](life), life, scenario, clock, fleet, wired)
-        if watch is _nobody:
-            end_when_asked(fleet, name, host.stop)
-        with on_interrupt(host.stop):
-            watch(host.stop)
-            host.run()
+        if wait_out(name, dies_by(name, scenario), lambda: plan_kept(fleet), clock):
+            life = claim(fleet, name, incarnation, scenario.network.lease_s + CUT_OFF_S)
+            yield Place(life, clock, fleet, wired)
+        else:
+            yield None
+
+
+def run_host(name: str, host: Host, fleet: ZenohSession, watch: Watch) -> None:
+    """Run it until it is asked to end: by a signal, its supervisor, or over the network where it has none."""
+    if watch is _nobody:
+        end_when_asked(fleet, name, host.stop)
+    with on_interrupt(host.stop):
+        watch(host.stop)
+        host.run()
 
 
 def _recorder(
@@ -254,7 +344,7 @@ def _recorder(
     if keep_last is not None and (options.split_bytes or options.split_s):
         raise ArgumentError("--keep-last writes no parts: leave out --split-size and --split-time")
     require_free_name(log, next or keep_last is not None)
-    resolved, watch = _scenario(scenario)
+    resolved, watch = scenario_given(scenario)
     told = _clock(anchor)
     space = Space(log.parent, options.min_free_bytes)
     space.require()
@@ -277,11 +367,7 @@ def _recorder(
                 keep_on_exit=keep_on_exit,
                 goes_on=next and writer.paths != [log],
             )
-            if watch is _nobody:
-                end_when_asked(fleet, RECORDER, host.stop)
-            with on_interrupt(host.stop):
-                watch(host.stop)
-                host.run()
+            run_host(RECORDER, host, fleet, watch)
 
 
 def _router(scenario: str | None, listen: str, prefix: str, anchor: str | None) -> None:
@@ -289,7 +375,7 @@ def _router(scenario: str | None, listen: str, prefix: str, anchor: str | None) 
     from maniple.host.router import RouterHost
 
     clock = _clock(anchor)
-    resolved, watch = (None, _nobody) if scenario is None else _scenario(scenario)
+    resolved, watch = (None, _nobody) if scenario is None else scenario_given(scenario)
     links = parameters_of(Links, {"prefix": prefix}) if resolved is None else resolved.network
     hosts: list[RouterHost] = []
     ended: list[bool] = []
@@ -332,7 +418,7 @@ def _finish(
     from maniple.cli.nodes import time_limit_s
     from maniple.host.joining import clock_of
 
-    resolved, watch = _scenario(scenario)
+    resolved, watch = scenario_given(scenario)
     with _networks(resolved, connect, hardware, wait) as (fleet, wired):
         clock = _clock(anchor) or clock_of(fleet)
         finisher = Finisher(resolved, fleet, wired, _say)
@@ -372,7 +458,7 @@ def _nobody(_: Callable[[], None]) -> None:
     """Nobody watches over this process."""
 
 
-def _scenario(source: str) -> tuple[Scenario, Watch]:
+def scenario_given(source: str) -> tuple[Scenario, Watch]:
     """The scenario, and what calls a function when the supervisor that gave it is gone."""
     from maniple.cli.loading import load, loads
 

@@ -7,12 +7,13 @@ from functools import partial
 from central_controller.node import CentralController
 from central_controller.planning import STRAIGHT
 from central_controller.reference import Course
-from maniple.cli.extensions import parts_of
+from maniple.cli.extensions import drivers_of, parts_of
 from maniple.control.unicycle import control_point
+from maniple.core.edges import simulated
 from maniple.core.geometry import Pose
 from maniple.core.node import Node
 from maniple.core.scenario.places import start_pose
-from maniple.core.scenario.types import Positioning, Scenario
+from maniple.core.scenario.types import Positioning, Robot, Scenario
 from robot_agent.node import RobotAgent
 from simulator.node import Simulator
 
@@ -21,20 +22,23 @@ RUNDOWN_S = 1.5
 
 
 def factories(scenario: Scenario) -> Mapping[str, Callable[[int], Node]]:
-    """What makes each node of a scenario, given its incarnation, by name; each looks for its layers itself,
-    and raises `ScenarioError` if one is not installed."""
+    """What makes each node of a scenario, given its incarnation, by name; each looks for its layers and
+    drivers itself, and raises `ScenarioError` if one is not installed. Where no robot has a body in it there
+    is no simulator."""
     robots: dict[str, Callable[[int], Node]] = {
-        robot.id: partial(_agent, scenario, robot.id) for robot in scenario.robots
+        robot.id: partial(_agent, scenario, robot) for robot in scenario.robots
     }
+    world: dict[str, Callable[[int], Node]] = {"simulator": lambda _: Simulator(scenario)}
     return {
-        "simulator": lambda _: Simulator(scenario),
+        **(world if simulated(scenario) else {}),
         "controller": lambda incarnation: CentralController(scenario, parts_of(scenario), incarnation),
         **robots,
     }
 
 
-def _agent(scenario: Scenario, robot: str, incarnation: int) -> RobotAgent:
-    return RobotAgent(scenario, robot, incarnation, parts_of(scenario, on_robot=True))
+def _agent(scenario: Scenario, robot: Robot, incarnation: int) -> RobotAgent:
+    parts, drivers = parts_of(scenario, on_robot=True), drivers_of(scenario, (robot,))
+    return RobotAgent(scenario, robot.id, incarnation, parts, drivers)
 
 
 def time_limit_s(scenario: Scenario, duration_s_asked: float | None) -> float:
