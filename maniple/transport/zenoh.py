@@ -9,11 +9,12 @@ import json
 import re
 import time
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Literal, Self, TypeAlias
 
 import zenoh
+import zenoh.ext
 
 from maniple.core.codec import encoding
 from maniple.core.errors import TransportError
@@ -34,6 +35,9 @@ sends it; more than `MAX_BYTES`."""
 
 OnUnfit: TypeAlias = Callable[[str, Unfit], None]
 """Told the topic name and why."""
+
+OnRaw: TypeAlias = Callable[[str, bytes, bytes | None], None]
+"""Told the name, the bytes and the attachment, if there is one."""
 
 PATIENCE_S = 0.5
 """Who does not read for so long holds nobody up: its session ends, and it connects anew. Zenoh's default is
@@ -72,16 +76,30 @@ _ROOM: Mapping[str, Any] = {
 usual. What a whole platoon says at once is not dropped while the router waits for a processor."""
 
 
+class RawPublisher:
+    """Puts bytes on one name, with any attachment."""
+
+    def __init__(self, publisher: Any) -> None:
+        self._publisher = publisher
+
+    def put(self, data: bytes, attachment: bytes | None = None) -> None:
+        """Send bytes."""
+        self._publisher.put(data, attachment=attachment)
+
+
 class ZenohSession:
-    """One session on one network. Topic names are relative to the prefix of the keys."""
+    """One session on one network. Topic names are relative to the prefix of the keys; with an empty prefix
+    they are the keys."""
 
     def __init__(self, session: zenoh.Session, prefix: str) -> None:
         self._session = session
-        self._prefix = prefix
+        self._prefix = f"{prefix}/" if prefix else ""
+        self._skip = len(self._prefix)
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._ordered: dict[str, zenoh.Publisher] = {}
         self._announced: dict[tuple[str, int], Any] = {}
         self._kept: list[Any] = []
+        self._raw: dict[int, Any] = {}
 
     @classmethod
     def client(
@@ -160,6 +178,90 @@ class ZenohSession:
         """Send bytes on any name, known to the table or not, with any attachment or none."""
         self._session.put(self._key(name), data, attachment=attachment)
 
+    def raw_publisher(
+        self, name: str, encoding: str | None = None, reliable: bool = True, history: int = 0
+    ) -> RawPublisher:
+        """To put bytes on one name again and again; those who are slow miss some. With a `history`, late
+        comers that ask for it get so many of the last (Zenoh's advanced publisher)."""
+        options: dict[str, Any] = {
+            "encoding": encoding,
+            "congestion_control": zenoh.CongestionControl.DROP,
+            "reliability": _RELIABILITY["reliable" if reliable else "best_effort"],
+        }
+        key = self._key(name)
+        if not history:
+            return RawPublisher(self._session.declare_publisher(key, **options))
+        return RawPublisher(
+            zenoh.ext.declare_advanced_publisher(
+                self._session,
+                key,
+                cache=zenoh.ext.CacheConfig(history),
+                sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=0.5),
+                publisher_detection=True,
+                **options,
+            )
+        )
+
+    def subscribe_raw(self, expression: str, on_sample: OnRaw, history: int = 0) -> Callable[[], None]:
+        """Call `on_sample` for what others put, whatever it is, up to `MAX_BYTES`; with a `history` also for
+        so many of the last that advanced publishers keep. What is returned ends that; it must not be called
+        from `on_sample`."""
+
+        def receive(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.PUT and len(sample.payload) <= MAX_BYTES:
+                attachment = None if sample.attachment is None else sample.attachment.to_bytes()
+                on_sample(self._name(sample.key_expr), sample.payload.to_bytes(), attachment)
+
+        key, remote = self._key(expression), zenoh.Locality.REMOTE
+        subscriber: Any
+        if history:
+            subscriber = zenoh.ext.declare_advanced_subscriber(
+                self._session,
+                key,
+                receive,
+                allowed_origin=remote,
+                history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=history),
+                recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+                subscriber_detection=True,
+            )
+        else:
+            subscriber = self._session.declare_subscriber(key, receive, allowed_origin=remote)
+        return self._keep(subscriber)
+
+    def serve_raw(
+        self, expression: str, answer: Callable[[], Sequence[tuple[str, bytes, bytes | None]]]
+    ) -> Callable[[], None]:
+        """Answer queries for `expression` with (name, bytes, attachment), whatever those names are. What is
+        returned ends that."""
+
+        def reply(query: zenoh.Query) -> None:
+            with query:
+                for name, data, attachment in answer():
+                    query.reply(self._key(name), data, attachment=attachment)
+
+        return self._keep(self._session.declare_queryable(self._key(expression), reply))
+
+    def declare_token(self, name: str) -> Callable[[], None]:
+        """Declare a liveliness token of any name. It lasts for as long as this session, or until what is
+        returned is called."""
+        return self._keep(self._session.liveliness().declare_token(self._key(name)))
+
+    def watch_tokens(self, expression: str, on_change: Callable[[str, bool], None]) -> Callable[[], None]:
+        """Call `on_change(name, is there)` for every liveliness token there is, appears or goes. What is
+        returned ends that."""
+
+        def change(sample: zenoh.Sample) -> None:
+            on_change(self._name(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+        return self._keep(
+            self._session.liveliness().declare_subscriber(self._key(expression), change, history=True)
+        )
+
+    @property
+    def zid(self) -> str:
+        """The identity of this session in the network, lower-case hexadecimal."""
+        return str(self._session.info.zid())
+
     def subscribe(
         self,
         expression: str,
@@ -170,11 +272,10 @@ class ZenohSession:
         """Call `on_sample(topic, bytes)` for what arrives from others, and `on_unfit` for what is not fit to
         be looked at; `expression` may hold `*` and `**`. Bytes without attachment are not checked; on topics
         that have `one_sender` they are unfit once that has sent some with one."""
-        skip = len(self._prefix) + 1
         sealed: set[str] = set()
 
         def receive(sample: zenoh.Sample) -> None:
-            name = str(sample.key_expr)[skip:]
+            name = self._name(sample.key_expr)
             data, unfit = _checked(sample)
             if unfit is None and (name in sealed or one_sender(name)):
                 if _crc_in(sample) is not None:
@@ -194,11 +295,10 @@ class ZenohSession:
 
     def serve(self, expression: str, answer: Callable[[str], Mapping[str, bytes]]) -> None:
         """Answer queries for `expression`: `answer(asked name)` gives bytes by topic name."""
-        skip = len(self._prefix) + 1
 
         def reply(query: zenoh.Query) -> None:
             with query:
-                for name, data in answer(str(query.key_expr)[skip:]).items():
+                for name, data in answer(self._name(query.key_expr)).items():
                     query.reply(self._key(name), data, attachment=crc_of(data))
 
         self._kept.append(self._session.declare_queryable(self._key(expression), reply))
@@ -220,13 +320,12 @@ class ZenohSession:
     def ask(self, name: str, timeout_s: float = 2.0, data: bytes | None = None) -> dict[str, bytes]:
         """What is answered to a name, of the router what it keeps: bytes by topic name; empty where nobody
         answers. `data` goes with the query."""
-        skip = len(self._prefix) + 1
         answers: dict[str, bytes] = {}
         for reply in self._session.get(self._key(name), timeout=timeout_s, payload=data):
             if reply.ok is not None:
                 data, unfit = _checked(reply.ok)
                 if unfit is None:
-                    answers[str(reply.ok.key_expr)[skip:]] = data
+                    answers[self._name(reply.ok.key_expr)] = data
         return answers
 
     def settle(self) -> None:
@@ -279,6 +378,7 @@ class ZenohSession:
         """End the session; what was put before is still sent."""
         self._session.close()
         self._kept.clear()
+        self._raw.clear()
         self._announced.clear()
         self._publishers.clear()
         self._ordered.clear()
@@ -292,7 +392,20 @@ class ZenohSession:
         self.close()
 
     def _key(self, name: str) -> str:
-        return f"{self._prefix}/{name}"
+        return self._prefix + name
+
+    def _name(self, key: zenoh.KeyExpr) -> str:
+        return str(key)[self._skip :]
+
+    def _keep(self, declared: Any) -> Callable[[], None]:
+        """Hold on to something that was declared; what is returned lets go of it."""
+        self._raw[id(declared)] = declared
+
+        def end() -> None:
+            if self._raw.pop(id(declared), None) is not None:
+                declared.undeclare()
+
+        return end
 
 
 def _timing(lease_s: float, patience_s: float) -> dict[str, int]:
