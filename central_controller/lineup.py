@@ -8,9 +8,11 @@ import numpy as np
 from central_controller.chain import Chain
 from central_controller.planning import Straight, rechain, relabel
 from central_controller.reference import Reference
+from central_controller.supervisor import exchange
 from maniple.control.parts import Planner
 from maniple.core.geometry import Floats, Pose
 from maniple.core.messages import pack_floats
+from maniple.core.scenario import outline
 from maniple.core.scenario.types import Point, Scenario
 
 
@@ -26,6 +28,10 @@ class Lineup:
         self._planner = planner
         self._relabel = scenario.planning.relabel
         self._ids = tuple(robot.id for robot in scenario.robots)
+        self.exchanges = scenario.supervisor.exchange
+        """Whether robots of one kind may have each other's places."""
+        self._robots = {robot.id: robot for robot in scenario.robots}
+        self._model_of = scenario.model_of
         self._place_of: dict[str, int] = {}
         self._building: Straight | None = None
         self._elapsed_s = 0.0
@@ -106,6 +112,19 @@ class Lineup:
         for place, index in zip(places, order, strict=True):
             self._place_of[self.robots[index]] = place
         self.chain_up(self.robots)
+
+    def sort_out(self, points: Mapping[str, Point]) -> bool:
+        """Let robots of one kind whose control points, given in the formation's own frame, would be led
+        through each other have each other's places; whether any do."""
+        robots = [self._robots[name] for name in self.robots]
+        kinds = [(robot.model, robot.sensor, robot.control_point_m) for robot in robots]
+        alike = np.array([[one == other for other in kinds] for one in kinds])
+        reach = max(outline.radius(self._model_of(robot)) + robot.control_point_m for robot in robots)
+        here = np.array([points[name] for name in self.robots])
+        order = exchange(here, self.places, range(len(robots)), alike, 2.0 * reach)
+        if order is not None:
+            self.exchange(order)
+        return order is not None
 
     def chain_up(self, names: Sequence[str]) -> None:
         """Make the chain of triangles over these robots, each at its place; at most two make none."""

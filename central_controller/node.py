@@ -12,13 +12,14 @@ from central_controller.former import FormerLife, Record
 from central_controller.lineup import Lineup, fitted
 from central_controller.mission import Mission, from_here
 from central_controller.planning import follow
+from central_controller.preflight import Preflight
 from central_controller.reference import Reference, within
-from central_controller.roster import AgeLimits, Member, Roster, View, waiting_for
-from central_controller.supervisor import Supervisor, exchange
+from central_controller.roster import Roster, View, bearable, waiting_for
+from central_controller.supervisor import Supervisor
 from central_controller.waiting import rate
 from central_controller.watched import WatchedLaw, WatchedPlanner
 from maniple.control.builtin import BUILTIN
-from maniple.control.limits import Velocity, age_limits
+from maniple.control.limits import Velocity
 from maniple.control.parts import Parts
 from maniple.control.pipeline import Pipeline, central_layers
 from maniple.core import messages, topics
@@ -35,7 +36,6 @@ from maniple.core.messages import (
     pack_floats,
 )
 from maniple.core.node import Outgoing, Received
-from maniple.core.scenario import outline
 from maniple.core.scenario.check import problems
 from maniple.core.scenario.shapes import pointed
 from maniple.core.scenario.types import Formation, Point, Scenario
@@ -79,6 +79,9 @@ class CentralController:
     ended, by the `Mission` and the `FormationState` that the network still has of it, once it has heard the
     robots that were not lost. Where these are missing it holds until a goal sets the platoon going, from
     where it is.
+
+    Where the scenario asks for a pre-flight check, nothing begins before every robot has passed it, and a
+    robot that has yet to pass it is not commanded.
     """
 
     def __init__(self, scenario: Scenario, parts: Parts = BUILTIN, incarnation: int = 1) -> None:
@@ -93,16 +96,17 @@ class CentralController:
         self._law = WatchedLaw(scenario.controller, parts)
         self._gains = Gains.of(scenario.controller)
         self._planner = WatchedPlanner(scenario.planning, parts)
-        own = _limits(scenario)
+        own = bearable(scenario)
         self._limits = own
         self._roster = Roster(scenario.robots, scenario.controller.host, own, incarnation)
+        self._preflight = Preflight(scenario, self._roster.members, self._with_ranges)
         self._lineup = Lineup(scenario, self._planner)
         self._supervisor = self._supervise()
         self._mission = Mission(scenario.task, scenario.controller)
         self._lost_after = from_seconds(scenario.controller.lost_after_s)
         self._pipelines = {robot.id: self._pipeline(robot.id) for robot in scenario.robots}
         self._timers = {CONTROL: period(scenario.rates.control_hz)}
-        self._topics = _inputs(self._roster.members, self._with_ranges)
+        self._topics = self._roster.by_topic(self._with_ranges)
         former = {topics.FORMATION_STATE, topics.FORMATION_MISSION} if incarnation > 1 else set()
         self._asked = frozenset(former)
         self._members = {member.id: member for member in self._roster.members}
@@ -169,14 +173,16 @@ class CentralController:
             return []
         elapsed = 0 if self._ticked is None else min(now - self._ticked, _LONGEST_STEP)
         self._ticked = now
-        if self._stage == "waiting":
-            if not self._unknown and self._roster.ready(now, self._with_ranges):
+        begun = self._stage != "waiting"
+        passed = self._preflight.review(self._scenario, now, begun=begun, anywhere=self._anew)
+        if not begun:
+            if not self._unknown and self._roster.ready(now, self._with_ranges) and passed:
                 self._begin(now)
         elif self._roster.review(self._lost_after, now) and not self._gathering:
             self._reorganise(now)
         if self._gathering:
             self._gather(now)
-        self._waits_for = self._roster.waited_for(now)
+        self._waits_for = self._roster.waited_for(now, lacking=not (begun or passed))
         views = self._views(now)
         if self._stage == "waiting" or self._gathering or not self._enough or self._faults:
             self._errors, self._notes, self._rate = None, (), 0.0
@@ -218,6 +224,7 @@ class CentralController:
 
     def _begin(self, now: Time) -> None:
         """Everybody is there: say who goes where."""
+        self._preflight.accept()
         self._roster.locate()
         planning = self._scenario.planning
         if self._anew:
@@ -241,8 +248,8 @@ class CentralController:
     def _plan(self, points: Mapping[str, Point]) -> None:
         """Decide who of the robots at `points`, in the formation's own frame, goes where."""
         self._lineup.plan(points)
-        if self._scenario.supervisor.exchange:
-            self._exchange(points)
+        if self._lineup.exchanges:
+            self._lineup.sort_out(points)
         self._supervisor = self._supervise()
 
     def _reorganise(self, now: Time) -> None:
@@ -260,9 +267,10 @@ class CentralController:
 
     def _guide(self, views: Mapping[str, View], elapsed: Duration, now: Time) -> list[Outgoing]:
         """The formation law, and what the central layers make of it."""
-        if self._scenario.supervisor.exchange and not self._lineup.building:
-            self._exchange(self._own_points(now))
-        robots = self._lineup.robots
+        lineup = self._lineup
+        if lineup.exchanges and not lineup.building and lineup.sort_out(self._own_points(now)):
+            self._supervisor = self._supervise()
+        robots = lineup.robots
         positions = np.array([views[name].point for name in robots])
         self._advance(elapsed, positions)
         target = self._reference()
@@ -271,6 +279,8 @@ class CentralController:
         oldest = max(views[name].age for name in robots)
         for name, (vx, vy) in zip(robots, velocities.tolist(), strict=True):
             member, view = self._members[name], views[name]
+            if member.lacks:
+                continue
             wanted = (*member.mounting.velocity_in_own(vx, vy), target.velocity[2])
             free = name not in self._waits_for and member.free(now)
             told = self._pipelines[name].step(
@@ -294,21 +304,6 @@ class CentralController:
         places = self._lineup.places_at(target.pose)
         velocities, self._notes = self._supervisor.step(positions, places, correction.velocities)
         return velocities
-
-    def _exchange(self, points: Mapping[str, Point]) -> None:
-        """Let robots of one kind whose control points, given in the formation's own frame, would be led
-        through each other have each other's places."""
-        robots = [self._robots[name] for name in self._lineup.robots]
-        kinds = [(robot.model, robot.sensor, robot.control_point_m) for robot in robots]
-        alike = np.array([[one == other for other in kinds] for one in kinds])
-        reach = max(
-            outline.radius(self._scenario.model_of(robot)) + robot.control_point_m for robot in robots
-        )
-        here = np.array([points[robot.id] for robot in robots])
-        order = exchange(here, self._lineup.places, range(len(robots)), alike, 2.0 * reach)
-        if order is not None:
-            self._lineup.exchange(order)
-            self._supervisor = self._supervise()
 
     def _advance(self, elapsed: Duration, positions: Floats) -> None:
         """Let the build-up or the task go on by a tick, if everybody follows."""
@@ -414,7 +409,7 @@ class CentralController:
     def _limit(self) -> None:
         """How old commands may be follows the task and the shape; robots are told where they may not be as
         old as by the scenario they know."""
-        limits = _limits(replace(self._scenario, task=self._mission.task))
+        limits = bearable(replace(self._scenario, task=self._mission.task))
         for name, member in self._members.items():
             member.limit(limits[name])
         self._stops = {
@@ -491,7 +486,8 @@ class CentralController:
         if self._stage == "waiting" or self._gathering:
             return []
         oldest = max((view.age for view in views.values()), default=0)
-        return [self._command(name, view, STANDING, oldest) for name, view in views.items()]
+        fit = [name for name in views if not self._members[name].lacks]
+        return [self._command(name, views[name], STANDING, oldest) for name in fit]
 
     def _command(self, name: str, view: View, told: Velocity, age: Duration) -> Outgoing:
         command = Command(
@@ -573,15 +569,5 @@ class CentralController:
             mission=self._number,
             progress=self._progress(),
             led=self._supervisor.memory,
+            preflight=self._preflight.checks,
         )
-
-
-def _limits(scenario: Scenario) -> dict[str, AgeLimits]:
-    """How old the commands of each robot may be."""
-    return {robot.id: AgeLimits(*age_limits(scenario, robot)) for robot in scenario.robots}
-
-
-def _inputs(members: Sequence[Member], with_ranges: bool) -> dict[str, Member]:
-    """Which robot a topic is about, for every topic a robot may be heard on."""
-    names = (topics.odometry, topics.status, *((topics.ranges,) if with_ranges else ()))
-    return {name(member.id): member for member in members for name in names}

@@ -5,12 +5,12 @@ from typing import Literal, NamedTuple, TypeAlias
 
 from central_controller.ages import RobotClock
 from central_controller.frames import Mounting, propagated
-from maniple.control.limits import Velocity
+from maniple.control.limits import Velocity, age_limits
 from maniple.control.returns import Returns, returns_of
-from maniple.core import topics
+from maniple.core import edges, topics
 from maniple.core.geometry import Pose
 from maniple.core.messages import Alive, Message, Odometry, RobotReport, Scan, Seat, Stamp, Status
-from maniple.core.scenario.types import Robot
+from maniple.core.scenario.types import Robot, Scenario
 from maniple.core.time import SECOND, Duration, Time, from_seconds, to_seconds
 
 Presence: TypeAlias = Literal["absent", "present", "silent", "unlocalised"]
@@ -65,12 +65,21 @@ class Member:
         self, robot: Robot, frame: Pose = WORLD, limits: AgeLimits | None = None, incarnation: int = 1
     ) -> None:
         self.id = robot.id
-        self.mounting = Mounting(frame.inverse().compose(initial_pose(robot)), robot.control_point_m)
+        self.pose = initial_pose(robot)
+        """In the world, by the scenario."""
+        self._own = Mounting(frame.inverse().compose(self.pose), robot.control_point_m)
+        self._in_world = Mounting(frame.inverse(), robot.control_point_m)
         self.odometry: Odometry | None = None
         self.returns: Returns | None = None
+        self.status: Status | None = None
+        self.status_at: Time = 0
         self.mode = ""
         self.reason = ""
         """Why it is not tracking, by its own account."""
+        self.lacks = ""
+        """What it lacks of the pre-flight check, if it has to pass that before it is told where to go."""
+        self.passed = 0
+        """The last life of its agent that passed it."""
         self.held_back = False
         """Whether its guard, by its last status, kept it from doing what it could have done."""
         self.lost = False
@@ -103,6 +112,17 @@ class Member:
         self._late_after = max(from_seconds(limits.hold_s), self._stale_after)
         self._silent_after = max(from_seconds(limits.stop_s), self._stale_after)
 
+    @property
+    def incarnation(self) -> int:
+        """The last life of its agent that was heard of; 0 before the first."""
+        return self._incarnation
+
+    @property
+    def mounting(self) -> Mounting:
+        """Where the frame of its odometry lies: by the scenario, or where it says itself where it is."""
+        odometry = self.odometry
+        return self._in_world if odometry is not None and odometry.frame_id == edges.WORLD else self._own
+
     def heard(self, message: Message, now: Time) -> None:
         """One of the robot's own messages arrived, or news of its life."""
         self._seen = None
@@ -113,8 +133,9 @@ class Member:
             self.returns = returns_of(message)
             self._scan, self._returns_at = message, now
         elif isinstance(message, Status):
+            self.status, self.status_at = message, now
             self.mode, self.reason = message.mode, message.reason
-            self.held_back = message.guard in ("age", "clearance", "blind")
+            self.held_back = message.guard in ("age", "clearance", "blind", "fence")
             self._command_age_s = message.command_age_s
             self._hear_where(message)
         elif isinstance(message, Alive):
@@ -168,14 +189,14 @@ class Member:
 
     def seat(self, place: int) -> Seat:
         """What the next life of the controller has to know of it, whose place is `place`."""
-        return Seat(self.id, place, self._located or 0, self._frame_id or "", self.lost)
+        return Seat(self.id, place, self._located or 0, self._frame_id or "", self.lost, self.passed)
 
     def recall(self, seat: Seat) -> None:
         """Go on with what the life of the controller before this one knew."""
         self._seen = None
         self._located, self._frame_id = seat.incarnation or None, seat.frame_id or None
         self._localised = self._localised or self._incarnation == self._located
-        self.lost = seat.lost
+        self.lost, self.passed = seat.lost, seat.passed
         if self.odometry is not None and not self._believes(self.odometry):
             self.odometry = None
 
@@ -210,8 +231,9 @@ class Member:
         return "silent" if age is None or age > self._silent_after else "present"
 
     def fit(self, now: Time) -> bool:
-        """Whether it can be told where to go: there, heard, and in control of its drive."""
-        return self.presence(now) == "present" and self.mode not in OUT_OF_CONTROL
+        """Whether it can be told where to go: there, heard, in control of its drive, and passed as fit to
+        move."""
+        return self.presence(now) == "present" and self.mode not in OUT_OF_CONTROL and not self.lacks
 
     def review(self, lost_after: Duration, anybody_fit: bool, now: Time) -> bool:
         """Whether it has just been lost or come back. While nobody is fit nobody is lost: then it is the
@@ -243,6 +265,8 @@ class Member:
     def _hindrance(self, now: Time) -> tuple[str, str]:
         """What kind of reason there is to wait for it, and in words."""
         (_, age, presence), limits = self._look(now), self._limits
+        if self.lacks:
+            return f"lacks {without_figures(self.lacks)}", f"pre-flight check: {self.lacks}"
         if presence == "absent":
             return presence, "it is not there"
         if presence == "unlocalised":
@@ -313,6 +337,11 @@ class Roster:
         self.members = tuple(Member(robot, self.frame, limits.get(robot.id), incarnation) for robot in robots)
         self.active = self.members
 
+    def by_topic(self, with_ranges: bool) -> dict[str, Member]:
+        """Which robot a topic is about, for every topic a robot may be heard on."""
+        names = (topics.odometry, topics.status, *((topics.ranges,) if with_ranges else ()))
+        return {name(member.id): member for member in self.members for name in names}
+
     def ready(self, now: Time, with_ranges: bool) -> bool:
         """Whether every robot that is not lost is there and is heard: its odometry and, if asked, what it
         senses."""
@@ -341,11 +370,16 @@ class Roster:
         self.active = tuple(member for member in self.members if not member.lost)
         return True
 
-    def waited_for(self, now: Time) -> dict[str, str]:
-        """The robots that do not follow now, and why: not there, not heard or too late, or not tracking by
-        their own account."""
-        causes = {member.id: member.cause(now) for member in self.active}
+    def waited_for(self, now: Time, lacking: bool = False) -> dict[str, str]:
+        """The robots that do not follow now, and why: not passed as fit to move, not there, not heard or too
+        late, or not tracking by their own account. With `lacking` only those that have not passed."""
+        causes = {member.id: member.cause(now) for member in self.active if member.lacks or not lacking}
         return {name: cause for name, cause in causes.items() if cause}
+
+
+def bearable(scenario: Scenario) -> dict[str, AgeLimits]:
+    """How old the commands of each robot of a resolved scenario may be."""
+    return {robot.id: AgeLimits(*age_limits(scenario, robot)) for robot in scenario.robots}
 
 
 def waiting_for(causes: Mapping[str, str]) -> str:

@@ -401,3 +401,42 @@ def test_the_next_life_knows_whom_to_believe() -> None:
         assert (member.odometry is not None) == believed
         member.heard(odometry(incarnation, frame=frame), T0)
         assert (member.odometry is not None) == believed
+
+
+@pytest.mark.parametrize("host", [None, "r1", "r2"])
+def test_a_robot_that_says_where_in_the_world_it_is_is_taken_to_be_there(host: str | None) -> None:
+    """As one that says the same in its own frame, which begins at its pose in the scenario."""
+    robots = (ROBOT, Robot(id="r2", pose=(-1.0, 0.5, 2.0), control_point_m=0.2))
+    roster, own = Roster(robots, host), Pose(0.4, -0.3, 0.7)
+    for robot, member in zip(robots, roster.members, strict=True):
+        world = Pose(*(robot.pose or ())).compose(own)
+        said = {}
+        for frame, at in ((robot.id, own), ("world", world)):
+            message = replace(odometry(frame=frame), x_m=at.x, y_m=at.y, psi_rad=at.psi)
+            member.heard(message, T0)
+            view = member.view(T0)
+            assert view is not None
+            turned = Pose(0.0, 0.0, at.psi).inverse().rotate(*member.mounting.velocity_in_own(0.3, -0.2))
+            said[frame] = (*view.point, *turned)
+        assert said["world"] == pytest.approx(said[robot.id])
+        assert world.compose(Pose(robot.control_point_m, 0.0, 0.0))[:2] == pytest.approx(
+            roster.frame.compose(Pose(*said["world"][:2], 0.0))[:2]
+        )
+
+
+def test_the_next_life_of_the_controller_believes_the_same_frame_alone() -> None:
+    before = Member(ROBOT)
+    before.heard(alive(1, True), T0)
+    before.heard(odometry(frame="world"), T0)
+    before.locate()
+    seat = before.seat(0)
+    assert seat.frame_id == "world"
+    after = Member(ROBOT, incarnation=2)
+    after.recall(seat)
+    after.heard(alive(1, True), T0)
+    after.heard(odometry(frame="r1"), T0)
+    assert after.view(T0) is None
+    after.heard(odometry(frame="world"), T0)
+    view = after.view(T0)
+    assert view is not None
+    assert view.point == pytest.approx((0.8, 0.0))

@@ -159,6 +159,8 @@ def _alternative(union: inspect.UnionType, value: Any) -> inspect.Type | None:
         meant = (inspect.TupleType, inspect.VarTupleType)
     elif isinstance(value, str):
         meant = (inspect.StrType,)
+    elif isinstance(value, bool):
+        meant = (inspect.BoolType,)
     else:
         meant = (inspect.FloatType,) if _is_number(value) else ()
     return next((kind for kind in _members(union) if isinstance(kind, meant)), None)
