@@ -139,6 +139,8 @@ class ZenohSession:
             "mode": "router",
             "listen/endpoints": [endpoint],
             "listen/exit_on_failure": True,
+            # The default is to wait 500 ms for what multicast finds, which is off.
+            "scouting/delay": 0,
             **_ROOM,
             **_timing(lease_s, patience_s),
         }
