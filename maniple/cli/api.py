@@ -16,6 +16,7 @@ from maniple.cli.progress import Progress
 from maniple.cli.realtime import run_realtime
 from maniple.cli.recording_options import EVERYTHING, RecordingOptions, notices
 from maniple.cli.virtual import run_virtual
+from maniple.cli.wall_clock import require_simulated
 from maniple.core.errors import ArgumentError, RecordingError, ScenarioError
 from maniple.core.scenario.types import Scenario
 from maniple.host.clock import FASTEST, SLOWEST
@@ -91,12 +92,14 @@ def run(
     `scenario` is a file or a `Scenario`; `overrides` are as `--set` takes them ("controller.kappa=0.3").
     With `virtual` all nodes run in this process in virtual time, else each in a process of its own over
     Zenoh at `speed` times the wall clock. An existing `log` is not overwritten; by default a new file in
-    `logs/`. `recording` says how it is recorded. With `keep_alive` every process but the simulator that dies
-    is started again. `on_notice` gets a line for each process that dies, freezes or comes back, for what the
-    recorder says, and for what can't happen in virtual time.
+    `logs/`. `recording` says how it is recorded. With `keep_alive` every process that dies is started again,
+    but for the simulator and vehicles. `on_notice` gets a line for each process that dies, freezes or comes
+    back, for what the recorder, drivers and vehicles say, and for what can't happen in virtual time. A
+    scenario in which a robot has a driver of its own runs by the wall clock only.
 
     Raises:
-        ArgumentError: speed or duration is not valid, or there are no processes to keep alive.
+        ArgumentError: speed or duration is not valid, also for the drivers of its robots, or there are no
+            processes to keep alive.
         ScenarioError: the scenario is not valid.
         RecordingError: the recording can't be written.
         RunError: a process of the run failed; the recording up to then is there.
@@ -104,6 +107,8 @@ def run(
     _require_valid(virtual, speed, duration_s, keep_alive)
     given = None if log is None else _given_path(Path(log))
     resolved = _resolved(scenario, overrides, seed)
+    if virtual or speed != 1.0:
+        require_simulated(resolved, "virtual time" if virtual else f"speed = {speed:g}")
     require_layers(resolved)
     _require_recordable(resolved, virtual, recording)
     for notice in notices(recording, resolved) if virtual else ():  # else the recorder says it

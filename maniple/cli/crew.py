@@ -8,6 +8,7 @@ from pathlib import Path
 
 from maniple.cli.processes import LIFE, Child, Process, finish_all
 from maniple.cli.upkeep import SIMULATOR, Death, Moment, Upkeep
+from maniple.core import edges
 from maniple.core.errors import RunError
 from maniple.core.messages import FaultPlan
 from maniple.core.scenario.parse import to_json
@@ -24,15 +25,19 @@ LOOK_S = 0.25
 
 
 class Crew:
-    """What the fault plan kills comes back as it says; with `keep_alive` everything but the simulator that
-    dies is started again. Without, robots may be lost as long as enough are left for a formation. Robots and
-    the controller may come back as processes of somebody else, guests. `notice` is told.
+    """What the fault plan kills comes back as it says; with `keep_alive` everything but the simulator and
+    vehicles that dies is started again. Without, robots may be lost as long as enough are left for a
+    formation; one is lost with its agent, its driver or its vehicle. These and the controller may come back
+    as processes of somebody else, guests. `notice` is told.
     """
 
     def __init__(
         self, scenario: Scenario, log: Path, clock: Anchor, keep_alive: bool, notice: Callable[[str], None]
     ) -> None:
         self._robots = frozenset(robot.id for robot in scenario.robots)
+        self._robot_of = {robot.id: robot.id for robot in scenario.robots} | {
+            process: robot.id for robot in scenario.robots for process in edges.processes_of(robot)
+        }
         self._json = to_json(scenario)
         self._clock = clock
         self._notice = notice
@@ -88,7 +93,9 @@ class Crew:
             RunError: the platoon can't do without.
         """
         node = life.node
-        if node not in self._robots | {"controller"} or life.incarnation == self._upkeep.life(node):
+        if not (node in self._robot_of or node == "controller") or life.incarnation == self._upkeep.life(
+            node
+        ):
             return
         self._upkeep.met(node, life.incarnation)
         if life.alive:
@@ -138,10 +145,11 @@ class Crew:
         self._frozen = frozen
 
     def pass_on(self) -> None:
-        """Say what the recorder says."""
-        if (recorder := self._children.get(RECORDER)) is not None:
-            for line in recorder.news():
-                self._notice(f"{RECORDER}: {line}")
+        """Say what the recorder, drivers and vehicles say."""
+        for name, child in self._children.items():
+            if name == RECORDER or (name in self._robot_of and name not in self._robots):
+                for line in child.news():
+                    self._notice(line if line.startswith(name) else f"{name}: {line}")
 
     def troubles(self) -> Mapping[str, str]:
         """Who is "dead" or "frozen" now."""
@@ -153,12 +161,13 @@ class Crew:
         lasts_s = death.crash.restart_after_s if death.crash else None
         if name == SIMULATOR:
             return "; a run can't go on without it"
-        if name not in self._robots:
+        if name not in self._robot_of:
             back = f"back after {lasts_s:g} s" if lasts_s else "it will be back"
             return f"; {back}" if death.back else ""
         absent = self._upkeep.absent(self._guests)
-        here = len(self._robots - absent.keys())
-        later = sum(absent[one].back for one in self._robots & absent.keys())
+        missing = self._robots_of(absent)
+        here = len(self._robots - missing)
+        later = len(missing - self._robots_of(self._upkeep.lost(self._guests)))
         return f"; {here} robots go on" + (f", {later} will be back" if later else "")
 
     def _go_on(self, what: str) -> None:
@@ -168,9 +177,13 @@ class Crew:
             RunError: it can't do without who is lost.
         """
         lost = self._upkeep.lost(self._guests)
-        if lost - self._robots or len(self._robots - lost) < LEAST:
+        if lost - self._robot_of.keys() or len(self._robots - self._robots_of(lost)) < LEAST:
             raise RunError(what)
         self._notice(what)
+
+    def _robots_of(self, processes: Collection[str]) -> frozenset[str]:
+        """The robots that need one of these."""
+        return frozenset(self._robot_of[name] for name in processes if name in self._robot_of)
 
     def _next_log(self) -> Path:
         """Where the next part of the recording goes."""

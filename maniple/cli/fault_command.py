@@ -249,9 +249,9 @@ def _change(
         now = clock.now()
         plan = plans.pruned(plans.begun(_planned(session), now), now)
         changed = change(plan, round(plans.elapsed_s(plan, now) + LEAD_S * clock.speed, 3))
-        robots = nodes_known(session).robots
-        before = plan_problems(plan, robots)
-        if found := [text for text in plan_problems(changed, robots) if text not in before]:
+        robots, _, beside = nodes_known(session)
+        before = plan_problems(plan, robots, beside=beside)
+        if found := [text for text in plan_problems(changed, robots, beside=beside) if text not in before]:
             unknown = (
                 [] if robots else ["no robot is known there yet: neither one nor a controller was heard of"]
             )

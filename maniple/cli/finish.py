@@ -26,7 +26,7 @@ class Finisher:
     def __init__(
         self, scenario: Scenario, fleet: ZenohSession, hardware: ZenohSession, say: Callable[[str], None]
     ) -> None:
-        self._order = stop_order(scenario)
+        self._order = tuple(stop_order(scenario).values())
         self._fleet = fleet
         self._sessions = (fleet,) if hardware is fleet else (fleet, hardware)
         self._say = say

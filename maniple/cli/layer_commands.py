@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from maniple.cli.extensions import KINDS, PLACES, Kind, implementation, installed
+from maniple.cli.extensions import KINDS, Kind, implementation, installed
 from maniple.cli.loading import load, robot_models
 from maniple.control import conformance
 from maniple.control.conformance import Finding
@@ -129,9 +129,11 @@ def _accepted(kind: Kind, name: str, made: Any, subject: Subject) -> None:
 
 
 def _kind(text: str) -> Kind:
-    for kind in PLACES:
+    for kind in KINDS:
         if kind == text:
             return kind
+    if text == "driver":
+        raise ArgumentError("KIND 'driver': drivers are no layers; they are checked by maniple driver check")
     raise ArgumentError(f"KIND {text!r}: must be one of {', '.join(KINDS)}")
 
 

@@ -11,6 +11,7 @@ import typer
 
 from maniple.cli.node_commands import LOCAL
 from maniple.core import codec, topics
+from maniple.core.edges import robot_of
 from maniple.core.envelope import Envelope, envelope_of
 from maniple.core.errors import ArgumentError, MessageError, RunError, TransportError
 from maniple.core.messages import FormationState, Message
@@ -41,7 +42,9 @@ class Known(NamedTuple):
     robots: tuple[str, ...]
     """Those of the controller's roster in its order, then those that live without being in it."""
     alive: Mapping[str, tuple[int, ...]]
-    """The incarnations of every node that is there: robots, controller, simulator, recorder, router."""
+    """The incarnations of every process that is there: of robots, controller, simulator, recorder, router."""
+    beside: tuple[str, ...] = ()
+    """The processes of robots beside their agents that are there: drivers, scanners and vehicles."""
 
 
 @contextmanager
@@ -144,7 +147,8 @@ def nodes_known(session: "ZenohSession", timeout_s: float = 2.0) -> Known:
     state = latched(session, topics.FORMATION_STATE, timeout_s)
     roster = tuple(robot.id for robot in state.roster) if isinstance(state, FormationState) else ()
     others = sorted(alive.keys() - {*roster, *RESERVED})
-    return Known((*roster, *others), alive)
+    beside = tuple(name for name in others if robot_of(name))
+    return Known((*roster, *(name for name in others if name not in beside)), alive, beside)
 
 
 def _kept(session: "ZenohSession", topic: str, timeout_s: float) -> Envelope | None:

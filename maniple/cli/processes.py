@@ -8,12 +8,13 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from maniple.core import edges
 from maniple.core.errors import RunError
-from maniple.core.scenario.types import Scenario
+from maniple.core.scenario.types import Robot, Scenario
 
 LIFE = 1
 """The first incarnation of every node of a run."""
@@ -51,26 +52,45 @@ def table(
     """
     common = ("--scenario", "-", "--connect", connect, "--anchor", anchor)
     life = ("--incarnation", str(LIFE))
-    return (
+
+    def each(name: Callable[[str], str], has: Callable[[Robot], bool], *words: str) -> Iterator[Process]:
+        """Such a process of every robot that has one."""
+        for robot in filter(has, scenario.robots):
+            command, *flags = words
+            yield Process(name(robot.id), (*command.split(), robot.id, *flags, *common, *life))
+
+    world = [Process("simulator", ("simulator", *common, *life))] if edges.simulated(scenario) else []
+    vehicles = each(edges.vehicle_of, edges.has_vehicle, "vehicle")
+    drivers = each(edges.driver_of, edges.has_driver, "driver run")
+    scanners = each(edges.scanner_of, edges.has_scanner, "driver run", "--scans")
+    agents = each(str, lambda _: True, "agent")
+    nodes = (*agents, Process("controller", ("controller", *common, *life)))
+    begin = (
         (Process("router", ("router", "--scenario", "-", "--listen", connect, "--anchor", anchor)),),
         (Process("recorder", ("recorder", *common, "--log", log, *recording)),),
-        (
-            Process("simulator", ("simulator", *common, *life)),
-            *(Process(robot.id, ("agent", robot.id, *common, *life)) for robot in scenario.robots),
-            Process("controller", ("controller", *common, *life)),
-        ),
     )
+    if not edges.is_wired(scenario):
+        return (*begin, (*world, *nodes))
+    stages = ((*world, *vehicles), (*drivers, *scanners), nodes)
+    return (*begin, *(stage for stage in stages if stage))
 
 
-def stop_order(scenario: Scenario) -> tuple[tuple[str, ...], ...]:
-    """Who is stopped together, first to last: commands end, robots stand, and the recorder sees it."""
-    return (
-        ("controller",),
-        tuple(robot.id for robot in scenario.robots),
-        ("simulator",),
-        ("recorder",),
-        ("router",),
-    )
+def stop_order(scenario: Scenario) -> Mapping[str, tuple[str, ...]]:
+    """Who is stopped together, first to last: commands end, robots stand, drivers let go of them, and the
+    recorder sees it."""
+    robots = scenario.robots
+    drivers = [edges.driver_of(robot.id) for robot in robots if edges.has_driver(robot)]
+    scanners = [edges.scanner_of(robot.id) for robot in robots if edges.has_scanner(robot)]
+    order = {
+        "controller": ("controller",),
+        "agents": tuple(robot.id for robot in robots),
+        "drivers": (*drivers, *scanners),
+        "vehicles": tuple(edges.vehicle_of(robot.id) for robot in robots if edges.has_vehicle(robot)),
+        "simulator": ("simulator",) if edges.simulated(scenario) else (),
+        "recorder": ("recorder",),
+        "router": ("router",),
+    }
+    return {part: names for part, names in order.items() if names}
 
 
 MANIPLE = (sys.executable, "-m", "maniple")

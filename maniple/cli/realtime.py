@@ -3,7 +3,7 @@
 import contextlib
 import socket
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
@@ -30,9 +30,18 @@ START_WITHIN_S = 60.0
 """Wall time for all processes to come up,"""
 START_EACH_S = 2.0
 """and how much more for each robot."""
-STOP_WITHIN_S = (0.8, 1.6, 3.2, 4.4, 4.8)
-"""Wall time from the begin of stopping until what `stop_order` lists is ended by force, one by one: a hurry,
-so that Ctrl-C ends everything in 5 s, and the recorder has its time even where all before it hang."""
+STOP_WITHIN_S: Mapping[str, float] = {
+    "controller": 0.8,
+    "agents": 0.8,
+    "drivers": 5.2,
+    "vehicles": 0.8,
+    "simulator": 1.6,
+    "recorder": 1.2,
+    "router": 0.4,
+}
+"""How much more wall time each part of `stop_order` has until it is ended by force: a hurry, so that Ctrl-C
+ends everything in 5 s, and in 11 s where drivers have to bring real robots to a stand; and the recorder has
+its time even where all before it hang."""
 PATIENCE = 5.0
 """How much longer at the end of a run that came to its end by itself."""
 LAST_S = 0.4
@@ -212,10 +221,9 @@ class Platoon:
 
     def _stop(self) -> None:
         """Stop all processes in order; by force what does not follow in its time."""
-        begin = time.monotonic()
-        order = zip(stop_order(self._scenario), STOP_WITHIN_S, strict=True)
-        for names, within_s in order:
-            until = begin + self._patience * within_s
+        until = time.monotonic()
+        for part, names in stop_order(self._scenario).items():
+            until += self._patience * STOP_WITHIN_S[part]
             if names == (SIMULATOR,) and SIMULATOR in self.crew:
                 left = until - LAST_S - time.monotonic()
                 speed = self._clock.speed

@@ -70,7 +70,9 @@ def run(
     virtual: Annotated[
         bool, typer.Option("--virtual", help="In one process and virtual time instead of real processes.")
     ] = False,
-    speed: Annotated[float, typer.Option(help="Times real time, without --virtual.")] = 1.0,
+    speed: Annotated[
+        float, typer.Option(help="Times real time, without --virtual and where all robots are simulated.")
+    ] = 1.0,
     duration: Annotated[
         float | None, typer.Option(help="End after this many simulated seconds, done or not.")
     ] = None,
@@ -80,7 +82,8 @@ def run(
     ] = None,
     log: Annotated[Path | None, typer.Option(help="Recording; by default a new file in logs/.")] = None,
     keep_alive: Annotated[
-        bool, typer.Option("--keep-alive", help="Start again whatever dies, but for the simulator.")
+        bool,
+        typer.Option("--keep-alive", help="Start again whatever dies, but for the simulator and vehicles."),
     ] = False,
     split_size: SplitSize = None,
     split_time: SplitTime = None,

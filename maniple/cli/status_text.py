@@ -9,6 +9,7 @@ from rich.text import Text
 
 from maniple.cli.platoon_state import LinkState, PlatoonState, RobotState
 from maniple.cli.progress import MODE_COLOURS
+from maniple.core.edges import SUFFIXES
 
 _COLUMNS = ("robot", "mode", "guard", "command age", "worst", "odometry age", "round trip")
 _LEFT = 3
@@ -59,7 +60,8 @@ def _heads(state: PlatoonState) -> Iterator[RenderableType]:
         yield Text(f"EMERGENCY STOP{why}", style="bold red")
     yield _phase(state).append(f" ({state.connect})", style="dim")
     there = sum(bool(robot.lives) for robot in state.robots)
-    others = [name for name in ("controller", "simulator", "recorder", "router") if name in state.nodes]
+    nodes = ("controller", "simulator", "recorder", "router")
+    others = [*(name for name in nodes if name in state.nodes), *_beside(state)]
     missing = [robot.id for robot in state.robots if not robot.lives]
     line = Text(f"{there} of {len(state.robots)} robots there, {', '.join(others) or 'nobody else'}")
     if missing:
@@ -73,6 +75,13 @@ def _heads(state: PlatoonState) -> Iterator[RenderableType]:
             does = _RECORDERS.get(recorder.state, recorder.state)
             yield Text(f"recorder {recorder.name} {does}{why}", style="yellow")
     yield Text("faults: ").append(_faults(state))
+
+
+def _beside(state: PlatoonState) -> Iterator[str]:
+    """The processes that are there beside the agents of robots, by kind."""
+    for end in SUFFIXES:
+        if of := [robot.id for robot in state.robots if robot.id + end in state.nodes]:
+            yield f"{end[1:]}{'s' * (len(of) > 1)} of {' '.join(of)}"
 
 
 def _phase(state: PlatoonState) -> Text:

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
+from maniple.core import edges
 from maniple.core.faults import crash_between, dead, dies_by
 from maniple.core.messages import FaultPlan
 from maniple.core.scenario.types import Crash, Scenario
@@ -50,12 +51,13 @@ class Upkeep:
     """Keeps book of the lives of each process. It is told what happens and says what is due.
 
     What the plan kills is back as the plan says; what dies otherwise is started again with `keep_alive`
-    only, the simulator never.
+    only, the simulator never, and no vehicle: these stand for hardware.
     """
 
     def __init__(self, scenario: Scenario, keep_alive: bool) -> None:
         self._scenario = scenario
         self._keep_alive = keep_alive
+        self._hardware = {SIMULATOR, *(edges.vehicle_of(robot.id) for robot in scenario.robots)}
         self._posts: dict[str, _Post] = {}
         self._lives: dict[str, int] = {}
 
@@ -74,7 +76,7 @@ class Upkeep:
         post = self._posts[name]
         deaths = 1 if now.wall_s - post.since.wall_s >= CALM_S else post.deaths + 1
         crash = self._crash(name, plan, post.since.time, now.time)
-        kept = self._keep_alive and name != SIMULATOR
+        kept = self._keep_alive and name not in self._hardware
         back = kept if crash is None else crash.restart_after_s is not None
         death = Death(crash, back, now.wall_s + backoff_s(deaths))
         self._posts[name] = post._replace(deaths=deaths, death=death)

@@ -47,6 +47,18 @@ def has_body(robot: Robot) -> bool:
     return not has_driver(robot) or has_vehicle(robot)
 
 
+def motion_source(robot: Robot) -> str:
+    """The process that says how it moves."""
+    return driver_of(robot.id) if has_driver(robot) else SIMULATOR
+
+
+def scan_source(robot: Robot) -> str:
+    """The process that says what its range finder sees."""
+    if has_scanner(robot):
+        return scanner_of(robot.id)
+    return SIMULATOR if robot.scans == SIMULATOR else motion_source(robot)
+
+
 def simulated(scenario: Scenario) -> tuple[Robot, ...]:
     """The robots that have a body in the simulator."""
     return tuple(robot for robot in scenario.robots if has_body(robot))
@@ -61,3 +73,18 @@ def preflight_asked(scenario: Scenario) -> bool:
     """Whether the platoon is looked at before it moves."""
     asked = scenario.preflight.enabled
     return is_wired(scenario) if asked is None else asked
+
+
+def processes_of(robot: Robot) -> tuple[str, ...]:
+    """The processes of a robot beside its agent: vehicle, driver and scanner, as far as it has them."""
+    asked = (
+        (has_vehicle, vehicle_of),
+        (has_driver, driver_of),
+        (has_scanner, scanner_of),
+    )
+    return tuple(name(robot.id) for has, name in asked if has(robot))
+
+
+def robot_of(process: str) -> str:
+    """The robot whose process beside its agent this would be; empty where no such one is called so."""
+    return next((process.removesuffix(end) for end in SUFFIXES if process.endswith(end)), "")

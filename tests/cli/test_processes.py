@@ -48,7 +48,7 @@ def test_the_table_lists_a_process_for_each_node() -> None:
 
 def test_everybody_is_stopped_once_the_recorder_after_all_it_records() -> None:
     scenario = completed(platoon(4))
-    order = [name for names in stop_order(scenario) for name in names]
+    order = [name for names in stop_order(scenario).values() for name in names]
     started = [p.name for stage in table(scenario, "c", "a", "l") for p in stage]
     assert sorted(order) == sorted(started)
     assert order[-2:] == ["recorder", "router"]

@@ -68,6 +68,7 @@ def rerun(
     """
     from maniple.cli.extensions import require_layers
     from maniple.cli.loading import loads
+    from maniple.cli.wall_clock import require_simulated
     from maniple.core.errors import ArgumentError
     from maniple.recording.reader import read
 
@@ -83,6 +84,8 @@ def rerun(
         source=f"the scenario of {file}",
         folder=file.parent,
     )
+    if closed_loop:
+        require_simulated(scenario, "--closed-loop runs in virtual time")
     require_layers(scenario)
     if closed_loop:
         log = out or file.with_name(f"{file.stem}-rerun{file.suffix}")

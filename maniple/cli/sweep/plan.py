@@ -11,6 +11,7 @@ from maniple.cli.extensions import require_layers
 from maniple.cli.loading import completed, table_of
 from maniple.cli.sweep.grid import MOST_RUNS, Axis, SweepFile, axes_of, combinations, read_sweep, seeds_of
 from maniple.cli.sweep.rows import columns
+from maniple.cli.wall_clock import require_simulated
 from maniple.control.delay_margin import delay_margin_s
 from maniple.control.limits import age_limits
 from maniple.core.errors import ScenarioError
@@ -131,6 +132,7 @@ def _jobs(
     for seed in seeds:
         scenario = completed(scenario_of({**changed, "seed": seed}), folder)
         if seed == seeds[0]:
+            require_simulated(scenario, f"{sweep.scenario}: a sweep runs in virtual time")
             require_layers(scenario)
         data = to_json(scenario)
         identity = b"\0".join((data, repr(sweep.duration_s).encode(), __version__.encode()))

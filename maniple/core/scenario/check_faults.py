@@ -6,6 +6,7 @@ from fnmatch import fnmatchcase
 
 import msgspec
 
+from maniple.core.edges import processes_of
 from maniple.core.faults import group_of, plan_of
 from maniple.core.messages import FaultPlan
 from maniple.core.plans import BLANK
@@ -16,7 +17,8 @@ from maniple.core.topics import TOPICS
 
 _OPERATOR = "operator"
 PROCESSES = ("recorder", "router")
-"""Who can die and freeze besides robots, controller and simulator; in virtual time there are none."""
+"""Who can die and freeze besides robots with all they have, controller and simulator; in virtual time there
+are none."""
 
 _MOST_NAMES = 8
 
@@ -24,14 +26,18 @@ _MOST_NAMES = 8
 def fault_problems(scenario: Scenario) -> Iterator[str]:
     """What is wrong with the faults of a resolved scenario; a line each."""
     robots = [robot.id for robot in scenario.robots]
-    yield from plan_problems(plan_of(scenario, 0), robots, scenario.controller.host)
+    beside = [process for robot in scenario.robots for process in processes_of(robot)]
+    yield from plan_problems(plan_of(scenario, 0), robots, scenario.controller.host, beside)
     yield from _clocks(scenario, robots)
 
 
-def plan_problems(plan: FaultPlan, robots: Sequence[str], host: str | None = None) -> list[str]:
+def plan_problems(
+    plan: FaultPlan, robots: Sequence[str], host: str | None = None, beside: Sequence[str] = ()
+) -> list[str]:
     """What is wrong with a plan for these robots: path, value and what would be valid; empty if nothing is.
 
-    `host` is the robot the controller runs on, which takes it along when it dies.
+    `host` is the robot the controller runs on, which takes it along when it dies; `beside` are the processes
+    of robots beside their agents, which can die and freeze too.
     """
     if found := list(_types(plan)):
         return found
@@ -43,7 +49,7 @@ def plan_problems(plan: FaultPlan, robots: Sequence[str], host: str | None = Non
     ]
     for index, partition in enumerate(plan.partitions):
         found += _partition(f"partitions[{index}]", partition, ["controller", *robots, _OPERATOR], host)
-    return [*found, *_nodes(plan, robots), *_overlaps(plan, host)]
+    return [*found, *_nodes(plan, [*robots, *beside]), *_overlaps(plan, host)]
 
 
 def some(names: Sequence[str], most: int = _MOST_NAMES) -> str:
@@ -102,9 +108,9 @@ def _partition(path: str, partition: Partition, nodes: Sequence[str], host: str 
         yield f"{path}.groups: all nodes are in one group; must leave somebody out, or be more groups"
 
 
-def _nodes(plan: FaultPlan, robots: Sequence[str]) -> Iterator[str]:
+def _nodes(plan: FaultPlan, others: Sequence[str]) -> Iterator[str]:
     """Who dies and who freezes."""
-    nodes = ["controller", *PROCESSES, *robots]
+    nodes = ["controller", *PROCESSES, *others]
     for index, crash in enumerate(plan.crashes):
         if crash.node == "simulator":
             yield (
@@ -112,7 +118,7 @@ def _nodes(plan: FaultPlan, robots: Sequence[str]) -> Iterator[str]:
             )
         elif crash.node not in nodes:
             yield f"crashes[{index}].node = {crash.node!r}: must be one of {some(nodes)}"
-    nodes = ["controller", "simulator", *PROCESSES, *robots]
+    nodes = ["controller", "simulator", *PROCESSES, *others]
     for index, freeze in enumerate(plan.freezes):
         if freeze.node not in nodes:
             yield f"freezes[{index}].node = {freeze.node!r}: must be one of {some(nodes)}"
