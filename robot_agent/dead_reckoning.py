@@ -1,4 +1,5 @@
-"""Dead reckoning: from the counts of the wheel encoders to pose and velocity."""
+"""Dead reckoning: from the counts of the wheel encoders, or the poses of a drive that reckons itself, to pose
+and velocity."""
 
 import math
 from operator import mul, sub
@@ -8,14 +9,17 @@ import numpy as np
 
 from maniple.control.limits import Velocity
 from maniple.control.wheels import wheel_ways
-from maniple.core.geometry import Pose
+from maniple.core.geometry import Pose, wrap
+from maniple.core.messages import Motion
 from maniple.core.scenario.types import RobotModel
 from maniple.core.time import Time, to_seconds
 
 _MARGIN = 2.0
-"""Wheels this much faster than the model's limits allow are not believed."""
+"""What is this much faster than the model's limits allow is not believed."""
 _SLACK_TICKS = 2.0
 """Rounding of the counts."""
+_SLACK_M, _SLACK_RAD = 0.1, 0.1
+"""What an estimate of a pose may be corrected by at once, without that being a jump."""
 _STANDING = Velocity()
 
 
@@ -31,15 +35,36 @@ class Wheels(NamedTuple):
 
 
 class Reckoning(NamedTuple):
-    """Where the robot is by its own count, in its own frame, and how fast."""
+    """Where the robot is by its own count, in its odometry frame, and how fast."""
 
     pose: Pose = Pose(0.0, 0.0, 0.0)
     velocity: Velocity = Velocity()
-    """Mean over the last interval."""
+    """Mean over the last interval, or as the drive says."""
     ticks: tuple[int, ...] | None = None
     """The last counts, as many as there are wheels that count; None before the first."""
     stamp: Time = 0
     """When they were taken, by the driver's clock."""
+    reported: Pose | None = None
+    """Instead of counts: the last pose that the drive reported, in its own frame."""
+
+
+class Gauge(NamedTuple):
+    """What a robot goes by to know how far it went."""
+
+    wheels: Wheels
+    speed_mps: float
+    """The fastest, in any direction, that a reported pose is believed to move."""
+    turning_radps: float
+    """And to turn."""
+    in_world: bool
+    """Whether reported poses are the robot's, in the world frame, as they come. Else the robot's own frame
+    begins where the first was reported."""
+
+
+def gauge_of(model: RobotModel, in_world: bool = False) -> Gauge:
+    """What robots of a type go by."""
+    fastest = math.hypot(model.u_max_mps, model.v_max_mps or 0.0)
+    return Gauge(wheels_of(model), _MARGIN * fastest, _MARGIN * model.w_max_radps, in_world)
 
 
 def wheels_of(model: RobotModel) -> Wheels:
@@ -78,3 +103,40 @@ def step(wheels: Wheels, state: Reckoning, ticks: tuple[int, ...], stamp: Time) 
     if elapsed <= 0.0:
         return Reckoning(pose, state.velocity, ticks, state.stamp), False
     return Reckoning(pose, Velocity(ahead / elapsed, turn / elapsed, left / elapsed), ticks, stamp), False
+
+
+def follow(
+    gauge: Gauge, state: Reckoning, reported: Pose, velocity: Velocity, stamp: Time
+) -> tuple[Reckoning, bool]:
+    """The state after the drive said at `stamp` that it is at `reported`, and whether that is a jump: farther
+    from the last than the robot could have gone, at the most that it can do or at the speeds that the drive
+    itself reports, whichever is more (a pilot may drive it faster).
+
+    In a frame of its own the robot goes as the reported pose does, from where it was; a jump is a new origin
+    of the driver's frame, and the robot stays where it was. In the world frame it is where it is said to be.
+    """
+    before, jumped = state.reported, False
+    moved = Pose(0.0, 0.0, 0.0) if before is None else before.inverse().compose(reported)
+    if before is not None:
+        elapsed = max(to_seconds(stamp - state.stamp), 0.0)
+        speed = max(
+            gauge.speed_mps, *(_MARGIN * math.hypot(one.u, one.v) for one in (velocity, state.velocity))
+        )
+        turning = max(gauge.turning_radps, *(_MARGIN * abs(one.w) for one in (velocity, state.velocity)))
+        jumped = (
+            math.hypot(moved.x, moved.y) > speed * elapsed + _SLACK_M
+            or abs(moved.psi) > turning * elapsed + _SLACK_RAD
+        )
+    if gauge.in_world:
+        pose = reported._replace(psi=wrap(reported.psi))
+    else:
+        pose = state.pose if jumped else state.pose.compose(moved)
+    return Reckoning(pose, velocity, None, stamp, reported), jumped
+
+
+def advance(gauge: Gauge, state: Reckoning, motion: Motion, stamp: Time) -> tuple[Reckoning, bool]:
+    """The state after what a drive reported at `stamp`, by its pose or else by its counts, and whether they
+    jumped."""
+    if motion.pose is None:
+        return step(gauge.wheels, state, motion.ticks, stamp)
+    return follow(gauge, state, Pose(*motion.pose), Velocity(*motion.twist), stamp)

@@ -16,12 +16,14 @@ Event: TypeAlias = Literal[
     "old",
     "emergency",
     "armed",
+    "displaced",
     "stop",
 ]
 """What a tick finds of its own layers: one has failed, for good. What it finds of the driver: silent, faulty
 or not controllable; there but not active; active. If it is active: no ranges known where they are needed.
 What it finds of the command, if it sees: young enough; old enough to slow down; too old to move. What an
-operator says: everything stands; it may move again. And the end of the agent."""
+operator says: everything stands; it may move again. That the robot turns out to be elsewhere than was
+believed. And the end of the agent."""
 
 TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("waiting", "layer_failed"): "fault",
@@ -34,6 +36,7 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("waiting", "old"): "waiting",
     ("waiting", "emergency"): "emergency",
     ("waiting", "armed"): "waiting",
+    ("waiting", "displaced"): "waiting",
     ("waiting", "stop"): "stopped",
     ("tracking", "layer_failed"): "fault",
     ("tracking", "driver_lost"): "fault",
@@ -45,6 +48,7 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("tracking", "old"): "holding",
     ("tracking", "emergency"): "emergency",
     ("tracking", "armed"): "tracking",
+    ("tracking", "displaced"): "waiting",
     ("tracking", "stop"): "stopped",
     ("holding", "layer_failed"): "fault",
     ("holding", "driver_lost"): "fault",
@@ -56,6 +60,7 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("holding", "old"): "holding",
     ("holding", "emergency"): "emergency",
     ("holding", "armed"): "holding",
+    ("holding", "displaced"): "waiting",
     ("holding", "stop"): "stopped",
     ("emergency", "layer_failed"): "emergency",
     ("emergency", "driver_lost"): "emergency",
@@ -67,6 +72,7 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("emergency", "old"): "emergency",
     ("emergency", "emergency"): "emergency",
     ("emergency", "armed"): "waiting",
+    ("emergency", "displaced"): "emergency",
     ("emergency", "stop"): "stopped",
     ("stopped", "layer_failed"): "stopped",
     ("stopped", "driver_lost"): "stopped",
@@ -78,6 +84,7 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("stopped", "old"): "stopped",
     ("stopped", "emergency"): "stopped",
     ("stopped", "armed"): "stopped",
+    ("stopped", "displaced"): "stopped",
     ("stopped", "stop"): "stopped",
     ("fault", "layer_failed"): "fault",
     ("fault", "driver_lost"): "fault",
@@ -89,6 +96,7 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("fault", "old"): "fault",
     ("fault", "emergency"): "emergency",
     ("fault", "armed"): "fault",
+    ("fault", "displaced"): "fault",
     ("fault", "stop"): "stopped",
 }
 """The mode after an event, for every mode and event."""

@@ -1,16 +1,21 @@
-"""The agent of one robot as a node: commands, encoder counts and scans in; drive, odometry and ranges out."""
+"""The agent of one robot as a node: commands, encoder counts or poses, and scans in; drive, odometry and
+ranges out."""
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
-from maniple.control import guard
+from maniple.control import geofence, guard
 from maniple.control.builtin import BUILTIN
 from maniple.control.limits import Limits, Velocity, aged, limits_of
 from maniple.control.parts import Parts
 from maniple.control.pipeline import Pipeline, onboard_layers
 from maniple.core import topics
+from maniple.core.edges import WORLD, motion_source, scan_source
 from maniple.core.errors import ScenarioError
+from maniple.core.geometry import Pose
 from maniple.core.messages import (
+    Alive,
     Command,
     Counters,
     Drive,
@@ -25,6 +30,7 @@ from maniple.core.messages import (
     Status,
 )
 from maniple.core.node import Outgoing, Received
+from maniple.core.scenario.parse import digest_of, to_json
 from maniple.core.scenario.types import Robot, Scenario
 from maniple.core.time import Duration, Time, from_seconds, period, to_seconds
 from robot_agent import dead_reckoning, modes
@@ -41,7 +47,22 @@ DRIVE, STATUS = "drive", "status"
 _STALE_PERIODS = 2.5
 """A source that has missed two reports says nothing about now."""
 
+_CONTROLLER, _ROUTER = "controller", "router"
+
 _STANDING = Velocity()
+
+_STILL = Velocity(0.02, 0.05, 0.02)
+"""What is measured to be slower than this stands."""
+
+_DISPLACED_M = 1.0
+"""A robot that turns out to be farther than this from where it was believed to be stands until it is
+commanded from there."""
+
+_FARTHEST_M, _FASTEST = 1e6, 1e3
+"""No drive is farther from where its frame begins, or moves or turns faster (m/s, rad/s)."""
+
+_DIGITS = 16
+"""Of the scenario's digest that are told."""
 
 
 class RobotAgent:
@@ -68,22 +89,31 @@ class RobotAgent:
         model, layer = scenario.model_of(robot), scenario.placement.robot_from
         capabilities = capabilities_of(scenario, robot, drivers)
         self._id = robot_id
+        self._digest = digest_of(to_json(scenario))[:_DIGITS]
+        self._motion_source, self._scan_source = motion_source(robot), scan_source(robot)
         self._odometry, self._ranges = topics.odometry(robot_id), topics.ranges(robot_id)
         self._drive, self._status = topics.drive(robot_id), topics.status(robot_id)
         self._guard = scenario.guard
         self._limits = within(limits_of(scenario, robot), capabilities, robot_id)
         self._drive_timeout_s = model.drive_timeout_s
         self._motion_stale = _stale_after(topics.motion(robot_id), capabilities.motion_hz)
-        self._wheels = dead_reckoning.wheels_of(model)
+        self._gauge = dead_reckoning.gauge_of(model, in_world=capabilities.frame == WORLD)
         self._pipeline = Pipeline(onboard_layers(layer), scenario, robot, parts)
         self._scan_stale = _stale_after(topics.scan(robot_id), capabilities.scan_hz)
         self._sensing = RangeSensing(self._scan_stale)
         self._orders = Orders(layer, incarnation)
         self._emergency = Emergency()
         self._reckoning = dead_reckoning.Reckoning()
-        self._frame = Localisation(capabilities.frame, incarnation, self._wheels)
+        self._frame = Localisation(capabilities.frame, incarnation, self._gauge)
+        self._fence = geofence.fence_of(scenario.guard.fence)
+        assert robot.pose is not None, "the scenario is resolved"
+        self._origin = Pose(0.0, 0.0, 0.0) if self._gauge.in_world else Pose(*robot.pose)
         self._motion: Motion | None = None
         self._motion_at: Time = 0
+        self._located_at: Time = 0
+        self._lost = False
+        self._lives: dict[str, set[int]] = {_CONTROLLER: set()}
+        self._estop_tested = False
         self._mode: Mode = "waiting"
         self._active = True
         self._sent = _STANDING
@@ -113,7 +143,7 @@ class RobotAgent:
     @property
     def subscriptions(self) -> frozenset[str]:
         """Topics the node receives."""
-        return frozenset(self._handlers) | {topics.HOST_REFUSED, topics.HOST_COUNTERS}
+        return frozenset(self._handlers) | {topics.HOST_ALIVE, topics.HOST_REFUSED, topics.HOST_COUNTERS}
 
     @property
     def timers(self) -> Mapping[str, Duration]:
@@ -140,22 +170,28 @@ class RobotAgent:
         """Let the drive brake and deactivate."""
         self._mode = modes.TRANSITIONS[self._mode, "stop"]
         self._sent = _STANDING
-        return Outgoing(self._drive, Drive(u_mps=0.0, w_radps=0.0, active=False)), self._report(now)
+        return self._told(_STANDING, False), self._report(now)
 
     def _on_motion(self, motion: Motion, now: Time) -> Sequence[Outgoing]:
-        """Advance the dead reckoning. A driver that lives or was set up anew counts from a new origin."""
-        if len(motion.ticks) != len(self._wheels.ahead):
-            self._counted["refused_ticks"] += 1
+        """Advance the dead reckoning. A driver that lives or was set up anew counts from a new origin; one
+        that knows neither counts nor a pose yet only tells how it is."""
+        if (refusal := self._refusal(motion)) is not None:
+            self._counted[f"refused_{refusal}"] += 1
             return ()
-        state, before = self._reckoning, self._motion
-        if before is not None and not (
-            motion.incarnation == before.incarnation and COUNTS[before.state] and COUNTS[motion.state]
+        before, old = self._reckoning, self._motion
+        if old is not None and not (
+            motion.incarnation == old.incarnation and COUNTS[old.state] and COUNTS[motion.state]
         ):
-            state = state._replace(ticks=None)
-        self._reckoning, jumped = dead_reckoning.step(self._wheels, state, motion.ticks, motion.stamp_ns)
+            before = before._replace(ticks=None, reported=before.reported if self._gauge.in_world else None)
+        self._motion, self._motion_at, self._reckoning = motion, now, before
+        self._lost = self._lost or self._driver_event(now) == "driver_lost"
+        if not motion.ticks and motion.pose is None:
+            return ()
+        self._reckoning, jumped = dead_reckoning.advance(self._gauge, before, motion, motion.stamp_ns)
         if jumped:
-            self._counted["encoder_jumps"] += 1
-        self._motion, self._motion_at = motion, now
+            self._counted["encoder_jumps" if motion.pose is None else "pose_jumps"] += 1
+            self._displace(before.pose, now)
+        self._located_at = now
         self._frame.counted(motion, now)
         resumed = self._resume(now)
         pose, (u, w, v) = self._reckoning.pose, self._reckoning.velocity
@@ -169,10 +205,34 @@ class RobotAgent:
             v_mps=v,
             applied=self._applied,
             held_ns=0 if self._applied is None else now - self._applied_since,
-            ticks=motion.ticks,
+            ticks=motion.ticks if motion.pose is None else (),
+            motion_pose=motion.pose,
             motion_incarnation=motion.incarnation,
         )
         return (*resumed, Outgoing(self._odometry, odometry))
+
+    def _refusal(self, motion: Motion) -> str | None:
+        """Why a report of a drive is not believed: it comes from another process than the scenario names, has
+        not a count for each wheel, or none where the drive is to know where in the world it is, or says what
+        no drive can mean."""
+        if motion.source != self._motion_source:
+            return "foreign"
+        if motion.pose is None:
+            wheels = 0 if self._gauge.in_world else len(self._gauge.wheels.ahead)
+            return "ticks" if len(motion.ticks) not in (0, wheels) else None
+        far, fast = max(map(abs, motion.pose)), max(map(abs, motion.twist))
+        return None if far <= _FARTHEST_M and fast <= _FASTEST else "absurd"
+
+    def _displace(self, before: Pose, now: Time) -> None:
+        """The robot is elsewhere than was believed. If it is far, the command that it holds was computed for
+        another place."""
+        after = self._reckoning.pose
+        if after == before:
+            return
+        self._sensing.displaced(before, after)
+        if math.hypot(after.x - before.x, after.y - before.y) > _DISPLACED_M:
+            self._mode = modes.TRANSITIONS[self._mode, "displaced"]
+            self._orders.begin(now)
 
     def _on_own_odometry(self, odometry: Odometry, now: Time) -> Sequence[Outgoing]:
         """The last word of an earlier life."""
@@ -197,10 +257,21 @@ class RobotAgent:
         self._mode = modes.TRANSITIONS[self._mode, change]
         if change == "armed":
             self._orders.begin(now)
+            self._estop_tested = self._estop_tested or self._stands(now)
         return self._stand(), self._report(now)
+
+    def _stands(self, now: Time) -> bool:
+        """Whether its drive, heard and controllable, says that it does not move."""
+        motion = self._motion
+        if motion is None or not self._controllable(now) or not (motion.ticks or motion.pose is not None):
+            return False
+        return all(abs(is_) < still for is_, still in zip(self._reckoning.velocity, _STILL, strict=True))
 
     def _on_scan(self, scan: Scan, now: Time) -> Sequence[Outgoing]:
         """Pass it on as it is, mount included."""
+        if scan.source != self._scan_source:
+            self._counted["refused_foreign"] += 1
+            return ()
         if self._limits.needs_ranges:
             self._sensing.take(scan, self._reckoning.pose, now)
         return (Outgoing(self._ranges, scan),)
@@ -212,8 +283,12 @@ class RobotAgent:
         return ()
 
     def _on_host(self, message: Message) -> Sequence[Outgoing]:
-        """Count what never got here, and what the host counts."""
-        if isinstance(message, Refused):
+        """Count what never got here, and what the host counts; know whether a controller is there."""
+        if isinstance(message, Alive):
+            if message.node in (_CONTROLLER, _ROUTER):
+                lives = self._lives.setdefault(message.node, set())
+                (lives.add if message.alive else lives.discard)(message.node_incarnation)
+        elif isinstance(message, Refused):
             self._counted[f"refused_{message.reason}"] += message.count
         elif isinstance(message, Counters):
             self._host_counters = message.counters
@@ -238,21 +313,36 @@ class RobotAgent:
             return self._stand("blind" if self._blind(now) else "none")
         if self._guard.clearance:
             seen = self._sensing.around(pose, now)
+        fence = None
+        if self._fence is not None:
+            if now - self._located_at > self._motion_stale:
+                return self._stand("fence")
+            middle = self._origin.compose(pose).compose(Pose(limits.centre, 0.0, 0.0))
+            fence = geofence.seen_from(middle, self._fence)
         self._sent, self._verdict = guard.step(
-            self._guard, limits, self._sent, wanted, age_s, seen, dt_s, measured
+            self._guard, limits, self._sent, wanted, age_s, seen, dt_s, measured, fence
         )
         if self._verdict == "speed":
             self._counted["clipped"] += 1
-        u, w, v = self._sent
         self._applied, self._applied_since = self._orders.stamp(), self._orders.arrived
         self._active = True
-        return Outgoing(self._drive, Drive(u_mps=u, w_radps=w, v_mps=v, active=True))
+        return self._told(self._sent, True)
 
     def _stand(self, verdict: guard.Reason = "none") -> Outgoing:
         self._sent, self._verdict = _STANDING, verdict
         wanted = modes.WANTS_DRIVER[self._mode]
         self._active = self._active if wanted is None else wanted
-        return Outgoing(self._drive, Drive(u_mps=0.0, w_radps=0.0, active=self._active))
+        return self._told(_STANDING, self._active)
+
+    def _told(self, velocity: Velocity, active: bool) -> Outgoing:
+        """What the drive is told."""
+        u, w, v = velocity
+        drive = Drive(u_mps=u, w_radps=w, v_mps=v, active=active, controller_alive=self._knows_a_controller())
+        return Outgoing(self._drive, drive)
+
+    def _knows_a_controller(self) -> bool:
+        """Whether one is there. Without a router, where there was one, nothing is known of who is."""
+        return bool(self._lives[_CONTROLLER]) and self._lives.get(_ROUTER) != set()
 
     def _limits_now(self) -> Limits:
         """With the age that the command bears."""
@@ -270,11 +360,15 @@ class RobotAgent:
         return 0.0
 
     def _next_mode(self, age_s: float, limits: Limits, now: Time) -> Mode:
+        event = self._driver_event(now)
+        if self._lost and event != "driver_lost":
+            self._mode = modes.TRANSITIONS[self._mode, "driver_lost"]
+            self._orders.begin(now)  # what it was told before was not for a robot that stands here
+        self._lost = event == "driver_lost" and self._motion is not None
         if self._emergency.stopped:
             return modes.TRANSITIONS[self._mode, "emergency"]
         if self._pipeline.fault:
             return modes.TRANSITIONS[self._mode, "layer_failed"]
-        event = self._driver_event(now)
         mode = modes.TRANSITIONS[self._mode, event]
         if event != "driver_active" or self._orders.command is None:
             return mode
@@ -290,9 +384,12 @@ class RobotAgent:
 
     def _driver_event(self, now: Time) -> modes.Event:
         motion = self._motion
-        if motion is None or now - self._motion_at > self._motion_stale or not motion.controllable:
-            return "driver_lost"
-        return EVENTS[motion.state]
+        return "driver_lost" if motion is None or not self._controllable(now) else EVENTS[motion.state]
+
+    def _controllable(self, now: Time) -> bool:
+        """Whether its drive is heard, and lets itself be controlled."""
+        motion = self._motion
+        return motion is not None and now - self._motion_at <= self._motion_stale and motion.controllable
 
     def _report(self, now: Time) -> Outgoing:
         """The status, counting the ages anew from here."""
@@ -307,6 +404,9 @@ class RobotAgent:
             counters={**self._host_counters, **self._counted},
             compensation=self._pipeline.compensation,
             localised=self._frame.known,
+            controllable=self._controllable(now),
+            estop_tested=self._estop_tested,
+            scenario=self._digest,
             sees=not self._blind(now),
             limits=(self._limits.u_max, self._limits.w_max, self._limits.v_max),
         )

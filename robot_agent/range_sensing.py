@@ -25,6 +25,11 @@ class RangeSensing:
         self._pose = pose
         self._at = now
 
+    def displaced(self, before: Pose, after: Pose) -> None:
+        """The robot that was believed to be at `before` turns out to be at `after`: so it was elsewhere when
+        it scanned, too."""
+        self._pose = after.compose(before.inverse().compose(self._pose))
+
     def latest(self, now: Time) -> Returns | None:
         """The returns as they were scanned; None where they are too old."""
         return self._returns if now - self._at <= self._stale_after else None

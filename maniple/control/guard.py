@@ -1,20 +1,23 @@
-"""A robot's last word on what it is told: age, speed, acceleration and braking limits, and clearance."""
+"""A robot's last word on what it is told: age, speed, acceleration and braking, clearance and fence."""
 
 import math
 from typing import Literal, NamedTuple, TypeAlias
 
 from maniple.control.clearance import clear_speed, clear_velocity
+from maniple.control.geofence import is_out
 from maniple.control.limits import Limits, Velocity
-from maniple.control.returns import Returns, moved
+from maniple.control.returns import Returns, joined, moved
 from maniple.core.geometry import Pose
 from maniple.core.scenario.types import Guard
 
-Reason: TypeAlias = Literal["none", "age", "speed", "acceleration", "clearance", "blind"]
+Reason: TypeAlias = Literal["none", "age", "speed", "acceleration", "clearance", "blind", "fence"]
 """Which limit changed the command last."""
 
 
 _STILL_M = 1e-3
 """A robot that rolls on for less than this stands."""
+_RETURN_MPS = 0.1
+"""How fast a robot that is not inside its fence goes back."""
 _STAND = Velocity()
 
 
@@ -34,12 +37,14 @@ def step(
     returns: Returns | None,
     dt_s: float,
     measured: Velocity,
+    fence: Returns | None = None,
 ) -> Verdict:
     """What of `command` may be done, `dt_s` after `state` was sent.
 
     `command` is None where there is none; `age_s` is the age of what it was computed from; `returns` are
     what the robot senses now, None where that is not known. `state` is within the limits; `measured` is how
-    the robot really moves.
+    the robot really moves; `fence` is what `geofence.seen_from` gives for the middle of its circle, where
+    there is a fence.
     """
     reason: Reason = "none"
     u, w, v = command if command is not None else _STAND
@@ -63,22 +68,56 @@ def step(
     sent = _ramped(limits, state, able, dt_s)
     if reason != "blind" and sent != able:
         reason = "acceleration"
+    bounds = limits
+    if fence is not None and is_out(fence, limits.radius):
+        slow = _slowed(sent, _RETURN_MPS)
+        if limits.curvature < math.inf:  # straight: it could not turn back in on the spot
+            slow, bounds = slow._replace(w=0.0), limits._replace(swing=0.0)
+        if slow != sent:
+            sent, reason = _ramped(limits, state, slow, dt_s), "fence"
     verdict = Verdict(sent, reason)
-    if not parameters.clearance or returns is None:
+    seen = returns if parameters.clearance else None
+    if seen is None and fence is None:
         return verdict
-    if limits.centre:
-        returns = moved(returns, Pose(limits.centre, 0.0, 0.0))
-    if limits.v_max and returns.sees_ahead and returns.sees_behind:
-        clear = clear_velocity(parameters, limits, sent, measured, returns, dt_s)
-        if clear != sent:
-            verdict = Verdict(_ramped(limits, state, clear, dt_s), "clearance")
+    if seen is not None and limits.centre:
+        seen = moved(seen, Pose(limits.centre, 0.0, 0.0))
+    if limits.v_max and (seen is None or (seen.sees_ahead and seen.sees_behind)):
+        verdict = _cleared_all_round(parameters, limits, state, verdict, seen, fence, dt_s, measured)
     else:
-        if sent.v:
-            verdict = Verdict(_ramped(limits, state, able._replace(v=0.0), dt_s), "blind")
-        for ahead in (True, False):
-            verdict = _cleared(parameters, limits, state, verdict, returns, dt_s, measured, ahead)
+        if seen is not None:
+            if sent.v:
+                verdict = Verdict(_ramped(limits, state, able._replace(v=0.0), dt_s), "blind")
+            for ahead in (True, False):
+                verdict = _cleared(
+                    parameters, limits, state, verdict, seen, "clearance", dt_s, measured, ahead
+                )
+        if fence is not None:
+            for ahead in (True, False):
+                verdict = _cleared(parameters, bounds, state, verdict, fence, "fence", dt_s, measured, ahead)
     (u, w, v), reason = verdict
     return Verdict(Velocity(u, _steered(limits, u, w), v), reason)
+
+
+def _cleared_all_round(
+    parameters: Guard,
+    limits: Limits,
+    state: Velocity,
+    wanted: Verdict,
+    seen: Returns | None,
+    fence: Returns | None,
+    dt_s: float,
+    measured: Velocity,
+) -> Verdict:
+    """What of `wanted` the clearance rules leave a robot that moves in every direction, for what it sees and
+    its fence together: what slides along the one may not go into the other."""
+    around = fence if seen is None else seen if fence is None else joined(seen, fence)
+    assert around is not None, "there is something"
+    sent = wanted.velocity
+    clear = clear_velocity(parameters, limits, sent, measured, around, dt_s)
+    if clear == sent:
+        return wanted
+    free = seen is None or clear_velocity(parameters, limits, sent, measured, seen, dt_s) == sent
+    return Verdict(_ramped(limits, state, clear, dt_s), "fence" if free else "clearance")
 
 
 def _cleared(
@@ -87,11 +126,13 @@ def _cleared(
     state: Velocity,
     wanted: Verdict,
     returns: Returns,
+    why: Reason,
     dt_s: float,
     measured: Velocity,
     ahead: bool,
 ) -> Verdict:
-    """What of `wanted` the clearance rules leave, as far as the robot goes or still rolls that way."""
+    """What of `wanted` the clearance rules leave, as far as the robot goes or still rolls that way; `why` is
+    what `returns` are of."""
     (u, w, v), reason = wanted
     going, rolling = (u, measured.u) if ahead else (-u, -measured.u)
     rolls_on = rolling * limits.u_lag_s > _STILL_M
@@ -107,9 +148,9 @@ def _cleared(
     clear = clear_speed(parameters, limits, heading, wheels, direction, returns, dt_s)
     if going > (most := max(min(clear), 0.0)):
         u = _ramp(state.u, most if ahead else -most, limits.u_accel, limits.brake, dt_s)
-        going, reason = abs(u), "clearance"
+        going, reason = abs(u), why
     if (going > 0.0 or rolls_on) and going > clear.stoppable:
-        w, reason = _ramp(state.w, 0.0, limits.w_accel, limits.w_accel, dt_s), "clearance"
+        w, reason = _ramp(state.w, 0.0, limits.w_accel, limits.w_accel, dt_s), why
     return Verdict(Velocity(u, w, v), reason)
 
 
@@ -132,6 +173,13 @@ def _steered(limits: Limits, u: float, w: float) -> float:
         return w
     most = limits.curvature * abs(u)
     return min(max(w, -most), most)
+
+
+def _slowed(velocity: Velocity, most: float) -> Velocity:
+    """The same way, no faster than `most` (m/s)."""
+    u, w, v = velocity
+    speed = math.hypot(u, v)
+    return velocity if speed <= most else Velocity(u * most / speed, w, v * most / speed)
 
 
 def _clip(value: float, lowest: float, highest: float) -> float:

@@ -82,6 +82,17 @@ def moved(returns: Returns, motion: Pose) -> Returns:
     return returns._replace(distance=np.hypot(x, y), bearing=wrap_array(np.arctan2(y, x) - motion.psi))
 
 
+def joined(first: Returns, second: Returns) -> Returns:
+    """Both, as of one range finder with the wider beams that sees what both see."""
+    return Returns(
+        np.concatenate((first.distance, second.distance)),
+        np.concatenate((first.bearing, second.bearing)),
+        first.sees_ahead and second.sees_ahead,
+        first.sees_behind and second.sees_behind,
+        max(first.half_cone, second.half_cone),
+    )
+
+
 @lru_cache(maxsize=256)
 def _fan(first: float, increment: float, count: int, mount: tuple[float, float, float]) -> _Fan:
     angles: Floats = first + mount[2] + increment * np.arange(count, dtype=np.float64)

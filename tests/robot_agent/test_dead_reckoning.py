@@ -8,9 +8,10 @@ from msgspec.structs import replace
 
 from maniple.control.limits import Velocity
 from maniple.core.geometry import Pose
+from maniple.core.messages import Motion
 from maniple.core.streams import stream
 from maniple.core.time import SECOND
-from robot_agent.dead_reckoning import Reckoning, Wheels, step, wheels_of
+from robot_agent.dead_reckoning import Reckoning, Wheels, advance, follow, gauge_of, step, wheels_of
 from simulator.dynamics import integrate
 from simulator.encoders import Encoders
 from tests.pioneer import PIONEER
@@ -121,3 +122,71 @@ def test_from_motion_through_encoders_back_to_motion(kind: str) -> None:
     there = Pose(1.0, 2.0, 0.4).compose(state.pose)
     assert (there.x, there.y) == pytest.approx((position[0].real, position[0].imag), abs=1e-4)
     assert math.remainder(there.psi - travel[1, 0], 2 * math.pi) == pytest.approx(0.0, abs=2e-4)
+
+
+GAUGE = gauge_of(PIONEER)
+IN_WORLD = gauge_of(PIONEER, in_world=True)
+DRIVER_FRAMES = [Pose(0.0, 0.0, 0.0), Pose(500.0, -30.0, 2.5)]
+
+
+@settings(deadline=None, derandomize=True)
+@given(
+    st.sampled_from(DRIVER_FRAMES),
+    st.lists(st.tuples(st.floats(-0.07, 0.07), st.floats(-0.17, 0.17)), max_size=20),
+)
+def test_reported_poses_count_from_where_the_first_was(frame: Pose, arcs: list[tuple[float, float]]) -> None:
+    state, jumped = follow(GAUGE, Reckoning(), frame, Velocity(), 0)
+    assert (state.pose, jumped) == (Pose(0.0, 0.0, 0.0), False)
+    pose = Pose(0.0, 0.0, 0.0)
+    for k, (forward, turn) in enumerate(arcs, start=1):
+        pose = pose.advance(forward, turn)
+        said = Velocity(10 * forward, 10 * turn)
+        state, jumped = follow(GAUGE, state, frame.compose(pose), said, k * TENTH)
+        assert not jumped
+        assert state.velocity == said
+    assert (state.pose.x, state.pose.y) == pytest.approx((pose.x, pose.y), abs=1e-9)
+    assert math.remainder(state.pose.psi - pose.psi, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("jump", [Pose(0.3, 0.0, 0.0), Pose(0.0, -50.0, 0.0), Pose(0.0, 0.0, 1.0)])
+def test_a_pose_that_jumps_is_a_new_origin_of_its_frame_and_in_the_world_it_is_believed(jump: Pose) -> None:
+    start, there = Pose(5.0, 5.0, 0.4), Pose(5.0, 5.0, 0.4).compose(jump)
+    for gauge, at, went in ((GAUGE, (0.0, 0.0, 0.0), Pose(0.05, 0.0, 0.0)), (IN_WORLD, there, None)):
+        state, _ = follow(gauge, Reckoning(), start, Velocity(), 0)
+        state, jumped = follow(gauge, state, there, Velocity(0.5), TENTH)
+        assert jumped
+        assert (state.pose, state.velocity) == (at, Velocity(0.5))
+        state, jumped = follow(gauge, state, there.advance(0.05, 0.0), Velocity(0.5), 2 * TENTH)
+        assert not jumped
+        assert state.pose == pytest.approx(went or there.advance(0.05, 0.0))
+
+
+def test_what_the_drive_says_it_goes_and_small_corrections_are_no_jumps() -> None:
+    """A pilot drives the robot at 3 m/s; an estimate is corrected by 8 cm."""
+    state, _ = follow(GAUGE, Reckoning(), Pose(0.0, 0.0, 0.0), Velocity(), 0)
+    state, jumped = follow(GAUGE, state, Pose(0.3, 0.0, 0.0), Velocity(3.0), TENTH)
+    assert not jumped
+    assert state.pose.x == pytest.approx(0.3)
+    state, jumped = follow(GAUGE, state, Pose(0.3, 0.08, 0.0), Velocity(), TENTH)
+    assert not jumped
+    assert state.pose.y == pytest.approx(0.08)
+
+
+def test_counts_and_poses_by_turns_count_on_from_each_other() -> None:
+    def report(pose: tuple[float, float, float] | None, ticks: tuple[int, ...] = ()) -> Motion:
+        return Motion(ticks=ticks, applied=(0.0, 0.0), state="active", controllable=True, pose=pose)
+
+    state, stamp = Reckoning(), 0
+    step_of = round(0.05 / GAUGE.wheels.ahead[0] / 2)
+    for motion in (
+        report(None, (7, 7)),
+        report(None, (7 + step_of, 7 + step_of)),
+        report((9.0, 9.0, math.pi / 2)),
+        report((9.0, 9.05, math.pi / 2)),
+        report(None, (7, 7)),
+        report(None, (7 + step_of, 7 + step_of)),
+    ):
+        state, jumped = advance(GAUGE, state, motion, stamp)
+        stamp += TENTH
+        assert not jumped
+    assert (state.pose.x, state.pose.y, state.pose.psi) == pytest.approx((0.15, 0.0, 0.0), abs=1e-4)

@@ -21,6 +21,7 @@ EXPECTED = {
     "old": ("waiting", "holding", "holding", "emergency", "stopped", "fault"),
     "emergency": ("emergency", "emergency", "emergency", "emergency", "stopped", "emergency"),
     "armed": ("waiting", "tracking", "holding", "waiting", "stopped", "fault"),
+    "displaced": ("waiting", "waiting", "waiting", "emergency", "stopped", "fault"),
     "stop": ("stopped", "stopped", "stopped", "stopped", "stopped", "stopped"),
 }
 
@@ -41,6 +42,7 @@ def test_a_lost_driver_or_a_stop_never_leaves_a_robot_moving() -> None:
         assert not MOVES[TRANSITIONS[mode, "driver_lost"]]
         assert not MOVES[TRANSITIONS[mode, "driver_ready"]]
         assert not MOVES[TRANSITIONS[mode, "stop"]]
+        assert not MOVES[TRANSITIONS[mode, "displaced"]]
         assert not MOVES[TRANSITIONS[mode, "emergency"]]
 
 

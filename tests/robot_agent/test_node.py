@@ -60,6 +60,7 @@ def motion(
     controllable: bool = True,
 ) -> Received:
     message = Motion(
+        source="simulator",
         incarnation=incarnation,
         stamp_ns=stamp,
         ticks=ticks,
@@ -72,6 +73,7 @@ def motion(
 
 def scan(distance: float) -> Received:
     message = Scan(
+        source="simulator",
         first_angle_rad=-math.pi / 2,
         increment_rad=math.pi / 180,
         range_min_m=0.0,
@@ -120,6 +122,7 @@ def test_what_it_listens_to_and_when_it_acts(make_scenario: Make) -> None:
         "robot/r1/command",
         "robot/r1/odometry",
         "platoon/stop",
+        "host/alive",
         "host/refused",
         "host/counters",
     }

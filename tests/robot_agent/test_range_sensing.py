@@ -28,6 +28,17 @@ def test_knows_nothing_before_the_first_scan_and_after_the_last_has_gone_stale()
     assert sensing.latest(100 * SECOND + SECOND // 2 + 1) is None
 
 
+def test_a_robot_that_turns_out_to_be_elsewhere_was_elsewhere_when_it_scanned() -> None:
+    sensing = RangeSensing(SECOND)
+    sensing.take(SCAN, Pose(1.0, 2.0, math.pi / 2), 0)
+    before, after = Pose(1.0, 2.5, math.pi / 2), Pose(30.0, -7.0, 0.0)
+    sensing.displaced(before, after)
+    seen = sensing.around(after, 0)
+    assert seen is not None
+    assert seen.distance == pytest.approx([1.5])
+    assert seen.bearing == pytest.approx([0.0], abs=1e-6)
+
+
 def test_the_robot_has_moved_since_the_scan() -> None:
     sensing = RangeSensing(SECOND)
     sensing.take(SCAN, Pose(1.0, 2.0, math.pi / 2), 0)

@@ -75,6 +75,7 @@ class Bench:
         reason = "" if self.controllable else "a pilot has it"
         return [
             Motion(
+                source="simulator",
                 ticks=(self._ticks, self._ticks),
                 applied=self._applied[:2],
                 state=self.state,
