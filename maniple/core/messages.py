@@ -116,7 +116,8 @@ class Status(Message, frozen=True, kw_only=True, gc=False):
 
     mode: Mode
     guard: str
-    """Which limit the guard applied last: "none", "age", "speed", "acceleration", "clearance", "blind"."""
+    """Which limit the guard applied last: "none", "age", "speed", "acceleration", "clearance", "blind",
+    "fence"."""
     command_age_s: float
     """Age of what the last command was computed from, by the robot's own clock; -1 before the first."""
     command_age_max_s: float
