@@ -613,7 +613,13 @@ def test_no_dynamics_are_learnt_from_a_robot_that_is_held_back_or_not_heard() ->
     off = Avoidance(enabled=False)
     driver = Driver(scenario("drive", avoidance=off, compensation=Compensation(enabled=True)))
     behind = {name: odometry(Pose(-0.3, 0.0, 0.0)) for name in driver.ids}
-    for guard, learns in (("none", True), ("acceleration", True), ("clearance", False), ("age", False)):
+    for guard, learns in (
+        ("none", True),
+        ("acceleration", True),
+        ("clearance", False),
+        ("age", False),
+        ("fence", False),
+    ):
         driver.mode("r1", "tracking", guard)
         states = []
         for _ in range(10):
