@@ -4,9 +4,14 @@ from collections.abc import Mapping
 
 from maniple.core.errors import ScenarioError
 from maniple.core.scenario.types import Robot, Scenario
+from simulator.vehicles import mavlink
 from simulator.vehicles.interface import Vehicle, VehicleFactory
+from simulator.vehicles.ros2 import Ros2Vehicle
 
-BUILTIN: Mapping[str, VehicleFactory] = {}
+BUILTIN: Mapping[str, VehicleFactory] = {
+    "mavlink": mavlink.vehicle,
+    "ros2": Ros2Vehicle,
+}
 """By the names that scenarios use in `robots.presents`."""
 
 

@@ -36,7 +36,7 @@ class Vehicle(Protocol):
         do. Called every `STEP`; after a freeze what was missed is skipped."""
         ...
 
-    def close(self, now: Time) -> None:
+    def close(self, now: Time, /) -> None:
         """Switch it off. May be called in any state."""
         ...
 
@@ -45,6 +45,6 @@ class VehicleFactory(Protocol):
     """Makes the vehicle of a robot of a resolved scenario. It does no I/O and imports nothing heavy.
     `endpoint` is the router of the hardware network, empty where there is none yet."""
 
-    def __call__(self, scenario: Scenario, robot: Robot, endpoint: str = "") -> Vehicle:
+    def __call__(self, scenario: Scenario, robot: Robot, endpoint: str = "", /) -> Vehicle:
         """Raises `ScenarioError` where the robot's parameters are not valid, with what would be."""
         ...
