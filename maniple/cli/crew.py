@@ -93,9 +93,8 @@ class Crew:
             RunError: the platoon can't do without.
         """
         node = life.node
-        if not (node in self._robot_of or node == "controller") or life.incarnation == self._upkeep.life(
-            node
-        ):
+        ours = node in self._robot_of or node == "controller"
+        if not ours or life.incarnation == self._upkeep.life(node):
             return
         self._upkeep.met(node, life.incarnation)
         if life.alive:

@@ -10,12 +10,12 @@ from maniple.control.limits import limits_of
 from maniple.control.parts import Parts
 from maniple.control.pipeline import Pipeline
 from maniple.core.edges import SIMULATOR, has_scanner
-from maniple.core.errors import ScenarioError
+from maniple.core.errors import ManipleError, ScenarioError
 from maniple.core.layers import PIPELINE
 from maniple.core.scenario.types import Robot, Scenario
 from robot_agent import drivers
 from robot_agent.drivers import capabilities_of
-from robot_agent.drivers.interface import DriverFactory, within
+from robot_agent.drivers.interface import Driver, DriverFactory, within
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -105,7 +105,27 @@ def drivers_of(scenario: Scenario, robots: Sequence[Robot] | None = None) -> Map
         for field, name in (("driver", robot.driver), ("scans", robot.scans))
         if name != SIMULATOR
     ]
-    return _named("driver", named)
+    return {
+        name: factory if name in drivers.BUILTIN else _heeding(factory, name)
+        for name, factory in _named("driver", named).items()
+    }
+
+
+def _heeding(factory: DriverFactory, name: str) -> DriverFactory:
+    """A driver of others: what its constructor raises is about its parameters."""
+
+    def make(scenario: Scenario, robot: Robot, endpoint: str = "") -> Driver:
+        try:
+            return factory(scenario, robot, endpoint)
+        except ManipleError:
+            raise
+        except Exception as error:
+            raise ScenarioError(
+                f"robots.{robot.id}: the driver {name!r} refuses its parameters: "
+                f"{type(error).__name__}: {error}"
+            ) from error
+
+    return make
 
 
 def require_layers(scenario: Scenario) -> None:
