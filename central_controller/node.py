@@ -149,7 +149,10 @@ class CentralController:
     def on_start(self, now: Time) -> list[Outgoing]:
         """Say that the platoon is waited for; a later life first hears what there is to say."""
         self._started = now
-        return [] if self._former is not None else self._said(now)
+        if self._former is not None:
+            return []
+        self._preflight.review(self._scenario, now, begun=False)
+        return self._said(now)
 
     def on_message(self, message: Received, now: Time) -> list[Outgoing]:
         """Take in what a robot said, what an operator wants, or who is alive."""

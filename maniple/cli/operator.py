@@ -103,7 +103,7 @@ class Order:
         kept = _kept(session, topic, timeout_s)
         self.incarnation = time.time_ns() if kept is None else max(time.time_ns(), kept.incarnation + 1)
         self._session, self._topic, self._message = session, topic, message
-        self._clock, self._seq = clock_of(session), 0
+        self._clock, self._seq, self._first = clock_of(session), 0, 0
 
     def send(self) -> Message:
         """Send it, the next of its life, by the clock of the run; returns it as sent."""
@@ -118,10 +118,14 @@ class Order:
         self._seq += 1
         return sent
 
+    def go_on(self, message: Message) -> None:
+        """From here on say this, in the same life: what another operator said meanwhile stays above it."""
+        self._message, self._first = message, self._seq
+
     def kept(self, timeout_s: float) -> bool:
         """Whether the router keeps it, or something newer."""
         kept = _kept(self._session, self._topic, timeout_s)
-        return kept is not None and kept.incarnation >= self.incarnation
+        return kept is not None and (kept.incarnation, kept.seq) >= (self.incarnation, self._first)
 
 
 def publish(session: "ZenohSession", topic: str, message: Message, timeout_s: float) -> Message:

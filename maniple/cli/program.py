@@ -9,6 +9,7 @@ from maniple.cli import (
     layer_commands,
     node_commands,
     plan_command,
+    preflight_command,
     report_command,
     run_command,
     scenario_commands,
@@ -34,6 +35,7 @@ def _pass_on(context: typer.Context) -> None:
 
 app.command("run")(run_command.run)
 app.command("plan")(plan_command.show)
+app.command("preflight")(preflight_command.preflight)
 app.command("status")(status_command.status)
 app.command("stop")(stop_command.stop)
 app.command("arm")(stop_command.arm)

@@ -60,6 +60,11 @@ class ProgressWatch:
         return self._state is not None and self._state.phase == "done"
 
     @property
+    def begun(self) -> bool:
+        """Whether the controller has said that the platoon does more than wait."""
+        return self._state is not None and self._state.phase != "waiting"
+
+    @property
     def state(self) -> FormationState | None:
         """The last formation state."""
         return self._state

@@ -14,8 +14,10 @@ from maniple.cli.outcome import Outcome, figures_of
 from maniple.cli.processes import Process, stop_order, table
 from maniple.cli.progress import Progress, ProgressWatch
 from maniple.cli.recording_options import EVERYTHING, RecordingOptions
+from maniple.cli.stop_trial import trying
 from maniple.cli.upkeep import SIMULATOR
 from maniple.core import codec, topics
+from maniple.core.edges import preflight_asked
 from maniple.core.errors import MessageError, RunError, TransportError
 from maniple.core.faults import NEVER, plan_of
 from maniple.core.messages import FaultPlan
@@ -107,6 +109,7 @@ class Platoon:
         self._log = log
         self._recording = recording.arguments()
         self._clock = Anchor.here(speed)
+        self._on_notice = on_notice
         self.crew = Crew(scenario, log, self._clock, keep_alive, on_notice)
         self._plan = plan_of(scenario, NEVER)
         self._plan_mark = (-1, -1)
@@ -129,8 +132,14 @@ class Platoon:
                 endpoint = self._start(stack)
                 limit_s = time_limit_s(self._scenario, duration_s) / self._clock.speed
                 until = time.monotonic() + limit_s
+                looked_at = preflight_asked(self._scenario)
+                if looked_at and self._scenario.preflight.estop:
+                    prefix = self._scenario.network.prefix
+                    stack.enter_context(trying(endpoint, prefix, self._on_notice))
                 while not (self.interrupted or self._watch.done or time.monotonic() >= until):
                     self._listen()
+                    if looked_at and duration_s is None and not self._watch.begun:
+                        until = time.monotonic() + limit_s  # people may have to do something first
                     self.crew.bury(self._plan)
                     self.crew.revive(self._plan)
                     self.crew.look_for_frozen()

@@ -129,12 +129,18 @@ def arm(
     _order(EmergencyStop(stopped=False, reason=reason), connect, prefix, json, timeout)
 
 
-def confirm(session: "ZenohSession", message: EmergencyStop, timeout_s: float) -> Confirmed:
-    """Say it until every robot that is there has done it, or the time is over."""
+def confirm(
+    session: "ZenohSession", message: EmergencyStop, timeout_s: float, order: Order | None = None
+) -> Confirmed:
+    """Say it until every robot that is there has done it, or the time is over. With `order` it goes on with
+    what that said before."""
     inbox: SimpleQueue[tuple[str, bytes, float]] = SimpleQueue()
     for name in (topics.status("*"), topics.odometry("*")):
         session.subscribe(name, lambda topic, data: inbox.put((topic, data, time.monotonic())))
-    order = Order(session, topics.STOP, message, timeout_s)
+    if order is None:
+        order = Order(session, topics.STOP, message, timeout_s)
+    else:
+        order.go_on(message)
     order.send()
     began = time.monotonic()
     known, witnesses = nodes_known(session), dict[str, Witness]()
