@@ -226,16 +226,21 @@ class RosSession:
         return RosPublisher(self, entity, gid_of(token))
 
     def subscribe(
-        self, topic: str, type_name: str, on_message: OnMessage, qos: Qos | None = None
+        self,
+        topic: str,
+        type_name: str,
+        on_message: OnMessage,
+        qos: Qos | None = None,
+        announced: bool = True,
     ) -> RosSubscription:
         """Hear a topic, likewise. With a latched `qos` also what its publishers keep (in the layout
-        "ros2dds" only what comes from now on).
+        "ros2dds" only what comes from now on). Who only looks on is not `announced`.
 
         Raises:
             ArgumentError: that is no name of a topic.
             MessageError: ROS 2 has no such type.
         """
-        entity, _ = self._declare("MS", topic, type_name, qos or Qos())
+        entity, _ = self._declare("MS", topic, type_name, qos or Qos(), announced)
         subscription = RosSubscription(self.network, entity, on_message)
         layout, domain_id, _ = self.network
         key = data_key(layout, domain_id, entity.topic, type_name, "*")
@@ -270,13 +275,16 @@ class RosSession:
     ) -> None:
         self.close()
 
-    def _declare(self, kind: EntityKind, topic: str, type_name: str, qos: Qos) -> tuple[Entity, str]:
+    def _declare(
+        self, kind: EntityKind, topic: str, type_name: str, qos: Qos, announced: bool = True
+    ) -> tuple[Entity, str]:
         name, digest = absolute(topic, self._namespace), type_hash(type_name)
         entity = Entity(kind, self._node, self._namespace, name, type_name, digest, qos, self._zid)
         self._endpoints += 1
         layout, domain_id, enclave = self.network
         token = endpoint_token(layout, domain_id, self._endpoints, entity, enclave)
-        self.zenoh.declare_token(token)
+        if announced:
+            self.zenoh.declare_token(token)
         return entity, token
 
     def _change(self, token: str, there: bool) -> None:

@@ -12,7 +12,8 @@ import struct
 from collections.abc import Mapping
 from typing import Literal, NamedTuple, TypeAlias
 
-from maniple.core.errors import ArgumentError
+from maniple.core.errors import ArgumentError, ScenarioError
+from maniple.core.scenario.types import Robot
 
 Layout: TypeAlias = Literal["rmw_zenoh", "ros2dds"]
 
@@ -89,6 +90,30 @@ def attachment_of(data: bytes | None) -> Attachment | None:
         return None
     sequence, stamp_ns, length, gid = _ATTACHMENT.unpack(data)
     return Attachment(sequence, stamp_ns, gid) if length == GID_BYTES else None
+
+
+class RobotNames(NamedTuple):
+    """Full names of a robot's topics."""
+
+    namespace: str
+    cmd_vel: str
+    odom: str
+    scan: str
+
+
+def names_of(robot: Robot) -> RobotNames:
+    """The topics of a robot of a scenario.
+
+    Raises:
+        ScenarioError: they have names that ROS 2 does not know.
+    """
+    ros2 = robot.ros2
+    try:
+        namespace = absolute(f"/{(ros2.namespace or robot.id).lstrip('/')}")
+        cmd_vel, odom, scan = (absolute(name, namespace) for name in (ros2.cmd_vel, ros2.odom, ros2.scan))
+    except ArgumentError as error:
+        raise ScenarioError(f"robots: {robot.id}: ros2: {error}") from None
+    return RobotNames(namespace, cmd_vel, odom, scan)
 
 
 def absolute(name: str, namespace: str = "/") -> str:

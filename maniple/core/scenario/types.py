@@ -344,6 +344,10 @@ class Ros2(Parameters, frozen=True, kw_only=True):
     """Whether it takes geometry_msgs/TwistStamped instead of Twist, as diff_drive_controller does."""
     in_world: bool = False
     """Whether its odometry is in the world frame, as a localisation says it, not in a frame of its own."""
+    unmeasured: Literal["near", "far"] = "near"
+    """What a beam of a scan counts as that says neither a distance nor infinity (NaN, 0, or outside of the
+    limits): something too near to measure, or nothing. "far" only for a range finder that says so where it
+    sees nothing."""
 
 
 class Robot(Parameters, frozen=True, kw_only=True):

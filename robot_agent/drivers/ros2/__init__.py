@@ -1,0 +1,1 @@
+"""A robot that speaks ROS 2 as a driver."""
