@@ -56,8 +56,8 @@ ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 CRITICAL, WARNING, INFO = 2, 4, 6
 """MAV_SEVERITY."""
 
-_POSITION, _VELOCITY, _ACCELERATION, _YAW, _YAW_RATE = 0x007, 0x038, 0x1C0, 0x400, 0x800
-"""Bits of the type mask of SET_POSITION_TARGET_LOCAL_NED: what is to be ignored."""
+_POSITION, _VELOCITY, _ACCELERATION, _YAW, _YAW_RATE = 0x003, 0x018, 0x1C0, 0x400, 0x800
+"""Bits of the type mask of SET_POSITION_TARGET_LOCAL_NED: what is to be ignored. A rover does not look at z."""
 _LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED = 1, 7, 8, 9
 _FRAMES = (_LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED)
 _LOCAL_FRD, _BODY_FRD = 20, 12
@@ -306,10 +306,6 @@ class Rover:
             self._target = self._stick = None
             self._drive.rest()
             self._text(INFO, "Throttle armed")
-            here = self._estimate.position(now)
-            if here is not None and self._estimate.origin is not None:
-                self._home = self._estimate.origin.moved(here.north, here.east)
-                self._say(self._telemetry.made(self._d.MAVLINK_MSG_ID_HOME_POSITION, self._view(now)))
         elif first == 0:
             if not self.armed:
                 return ACCEPTED
@@ -465,7 +461,11 @@ class Rover:
     def _watch(self, now: Time) -> None:
         """What it looks after by itself: the ground station, its position, the checks before arming."""
         self._watch_gcs(now)
-        if self.armed and self.mode in NEED_POSITION and self._estimate.position(now) is None:
+        here = self._estimate.position(now)
+        if self._home is None and here is not None and self._estimate.origin is not None:
+            self._home = self._estimate.origin.moved(here.north, here.east)
+            self._say(self._telemetry.made(self._d.MAVLINK_MSG_ID_HOME_POSITION, self._view(now)))
+        if self.armed and self.mode in NEED_POSITION and here is None:
             if self._lost_since is None:
                 self._lost_since = now
             elif now - self._lost_since >= LOST:
