@@ -3,6 +3,7 @@
 import typer
 
 from maniple.cli import (
+    bridge_command,
     doctor_command,
     fault_command,
     goal_command,
@@ -49,6 +50,7 @@ for _name, _about in node_commands.COMMANDS.items():
         add_help_option=False,
         context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
     )(_pass_on)
+app.add_typer(bridge_command.app, name="bridge")
 app.add_typer(fault_command.app, name="fault")
 app.add_typer(goal_command.app, name="goal")
 app.add_typer(layer_commands.app, name="layer")

@@ -138,7 +138,7 @@ def export_tables(
     every = [table for group in tables.values() for table in group]
     unreadable, unknown = Counter[str](), Counter[str]()
     messages = 0
-    with _folder(out, force) as folder:
+    with new_folder(out, force) as folder:
         with ExitStack() as stack:
             for table in every:
                 table.sink = open_sink(
@@ -189,11 +189,17 @@ def _notes(recording: Recording, table: _Table) -> dict[str, str]:
 
 
 @contextmanager
-def _folder(out: Path, force: bool) -> Iterator[Path]:
-    """A folder to write into, which becomes `out` when all has gone well, and goes when it has not."""
+def new_folder(out: Path, force: bool, mark: str = INDEX) -> Iterator[Path]:
+    """A folder to write into, which becomes `out` when all has gone well, and goes when it has not. An
+    earlier one is known by the file `mark` in it.
+
+    Raises:
+        ArgumentError: `out` exists, and is no earlier export or not to be replaced.
+        ManipleError: it can't be written.
+    """
     try:
         out = out.resolve()
-        _require_free(out, force)
+        _require_free(out, force, mark)
         scratch = out.with_name(f".{out.name}-{token_hex(4)}")
         new, old = scratch / "new", scratch / "old"
         try:
@@ -208,13 +214,13 @@ def _folder(out: Path, force: bool) -> Iterator[Path]:
         raise ManipleError(f"{out}: can't write the export: {error.strerror or error}") from None
 
 
-def _require_free(out: Path, force: bool) -> None:
+def _require_free(out: Path, force: bool, mark: str) -> None:
     """Refuse a folder that holds something else than an earlier export."""
     if out.exists() and not out.is_dir():
         raise ArgumentError(f"{out} is not a folder; --out must name one, or nothing that exists")
     if not out.is_dir() or next(out.iterdir(), None) is None:
         return
-    if not (out / INDEX).exists():
+    if not (out / mark).exists():
         raise ArgumentError(f"{out} is not empty and holds no export; --out must name another folder")
     if not force:
         raise ArgumentError(f"{out} holds an export; another --out, or --force to replace it")

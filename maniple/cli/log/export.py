@@ -17,13 +17,14 @@ from maniple.recording.reader import Recording, read
 from maniple.recording.selection import Selection
 from maniple.recording.viz.export import ExportedFile
 
-Format: TypeAlias = Literal["parquet", "csv", "foxglove", "rerun"]
+Format: TypeAlias = Literal["parquet", "csv", "foxglove", "rerun", "rosbag2"]
 
 _ENDINGS: dict[Format, str] = {
     "parquet": "-parquet",
     "csv": "-csv",
     "foxglove": "-foxglove.mcap",
     "rerun": ".rrd",
+    "rosbag2": "-rosbag2",
 }
 
 
@@ -34,13 +35,15 @@ def export(
         typer.Option(
             "--to",
             help="parquet, csv: a folder of tables, one for each kind of topic. foxglove: an MCAP file with "
-            "what Foxglove and Lichtblick draw. rerun: an .rrd file for the Rerun viewer.",
+            "what Foxglove and Lichtblick draw. rerun: an .rrd file for the Rerun viewer. rosbag2: a bag of "
+            "ROS 2 with poses, scans, frames and markers.",
         ),
     ],
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Where to write; else FILE-parquet, FILE-csv, FILE-foxglove.mcap or FILE.rrd beside FILE."
+            help="Where to write; else FILE-parquet, FILE-csv, FILE-foxglove.mcap, FILE.rrd or FILE-rosbag2 "
+            "beside FILE."
         ),
     ] = None,
     topic: Topics = None,
@@ -52,7 +55,7 @@ def export(
 ) -> None:
     """Write a recording in a format that other tools read.
 
-    parquet needs the extra "export", rerun the extra "rerun".
+    parquet needs the extra "export", rerun the extra "rerun", rosbag2 the extra "ros2".
 
     Exit status: 0 written, 2 bad input, 130 interrupted (then nothing is left behind).
     """
@@ -84,6 +87,14 @@ def _write(
             from maniple.recording.export_rerun import export_rerun
 
             return export_rerun(recording, out, selection, force)
+        case "rosbag2":
+            try:
+                import rosbags.rosbag2  # noqa: F401
+            except ImportError:
+                raise MissingExtraError("export to rosbag2", "ros2") from None
+            from maniple.recording.export_rosbag2 import export_rosbag2
+
+            return export_rosbag2(recording, out, selection, force)
 
 
 def _stop() -> None:
@@ -97,7 +108,7 @@ def _tell(exported: Exported | ExportedFile) -> None:
         made = f"{rows} rows in {len(exported.tables)} tables"
     else:
         notes = told(exported.complete, exported.unreadable, {})
-        made = f"{exported.drawn} for viewers"
+        made = f"{exported.drawn} {'of ROS 2' if exported.format == 'rosbag2' else 'for viewers'}"
     for note in notes:
         typer.echo(f"note: {note}")
     typer.echo(f"{exported.messages} messages as {made}: {exported.out}")

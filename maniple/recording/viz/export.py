@@ -1,15 +1,17 @@
 """What viewers draw of a recording, for those who write it into one file."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Generic, Protocol, TypeVar
 
 import msgspec
 
 from maniple.core.errors import ArgumentError, ManipleError, MessageError
-from maniple.core.time import VIRTUAL_EPOCH
+from maniple.core.messages import Message
+from maniple.core.time import VIRTUAL_EPOCH, Time
 from maniple.recording.reader import Recording
 from maniple.recording.selection import Selection
 from maniple.recording.viz.channels import Drawn
@@ -37,46 +39,61 @@ class ExportedFile(msgspec.Struct, frozen=True, kw_only=True):
     """Whether the recording was finished."""
 
 
-class Pictures:
-    """What there is to draw of a selection of a recording, in order of time; counted on the way.
+T_co = TypeVar("T_co", covariant=True)
+T = TypeVar("T")
+
+
+class Derives(Protocol[T_co]):
+    """Makes something of messages, in order of their log times."""
+
+    def wants(self, topic: str) -> bool:
+        """Whether messages of a topic matter."""
+
+    def begin(self) -> None:
+        """Tell all anew that has not changed."""
+
+    def see(self, topic: str, message: Message, log_time_ns: Time, /) -> Iterable[T_co]:
+        """What a message gives."""
+
+
+class Derived(Generic[T]):
+    """What is made of a selection of a recording, in order of time; counted on the way.
 
     It is derived from the messages, whether or not the recording holds what an earlier version derived. What
-    was said before the selection begins is known in it, but drawn only from there on.
+    was said before the selection begins is known in it, but told only from there on.
     """
 
-    def __init__(self, recording: Recording, selection: Selection) -> None:
-        virtual = recording.metadata.get("mode") == "virtual"
+    def __init__(self, recording: Recording, selection: Selection, maker: Derives[T]) -> None:
         self._recording = recording
         self._selection = selection
-        self._viewer = Viewer(recording.scenario, VIRTUAL_EPOCH if virtual else None)
-        self.channels = self._viewer.channels
+        self._maker = maker
         self._messages = 0
         self._drawn = 0
         self._unreadable: Counter[str] = Counter()
 
-    def __iter__(self) -> Iterator[Drawn]:
+    def __iter__(self) -> Iterator[T]:
         """
         Raises:
             RecordingError: the recording is damaged.
         """
-        viewer, selection = self._viewer, self._selection
+        maker, selection = self._maker, self._selection
         start = self._recording.start_ns if selection.start_ns is None else selection.start_ns
         begun = False
         for record in self._recording.messages(
-            lambda topic: selection.takes(topic) and viewer.wants(topic), None, selection.end_ns
+            lambda topic: selection.takes(topic) and maker.wants(topic), None, selection.end_ns
         ):
             if not begun and record.log_time_ns >= start:
                 begun = True
-                viewer.begin()
+                maker.begin()
             try:
-                pictures = viewer.see(record.topic, record.decode(), record.log_time_ns)
+                made = [*maker.see(record.topic, record.decode(), record.log_time_ns)]
             except MessageError:
                 self._unreadable[record.topic] += begun
                 continue
             if begun:
                 self._messages += 1
-                self._drawn += len(pictures)
-                yield from pictures
+                self._drawn += len(made)
+                yield from made
 
     def exported(self, out: Path, format: str) -> ExportedFile:
         """What has become of them."""
@@ -91,6 +108,20 @@ class Pictures:
             unreadable={topic: count for topic, count in sorted(self._unreadable.items()) if count},
             complete=recording.complete,
         )
+
+
+class Pictures(Derived[Drawn]):
+    """What there is to draw of a selection of a recording."""
+
+    def __init__(self, recording: Recording, selection: Selection) -> None:
+        viewer = Viewer(recording.scenario, epoch_of(recording))
+        self.channels = viewer.channels
+        super().__init__(recording, selection, viewer)
+
+
+def epoch_of(recording: Recording) -> Time | None:
+    """The start of a run in which nobody says the fault plan; None where somebody does."""
+    return VIRTUAL_EPOCH if recording.metadata.get("mode") == "virtual" else None
 
 
 @contextmanager

@@ -74,11 +74,15 @@ class RobotView:
         """The controller says which odometry frame begins at the initial pose."""
         self._frame = frame_id or self._frame
 
+    def frame_of(self, odometry: Odometry) -> Pose | None:
+        """Where the frame of its odometry is in the world; None where nobody knows."""
+        return self.origin if self._localised and odometry.frame_id == self._frame else None
+
     def on_odometry(self, odometry: Odometry, time: Time) -> None:
         """Its pose, if it is in the frame that is known, and its velocities."""
         self._frame = self._frame or odometry.frame_id
-        if self._localised and odometry.frame_id == self._frame:
-            self.believed = self.origin.compose(Pose(odometry.x_m, odometry.y_m, odometry.psi_rad))
+        if (frame := self.frame_of(odometry)) is not None:
+            self.believed = frame.compose(Pose(odometry.x_m, odometry.y_m, odometry.psi_rad))
             self._believed_at = time
             self.trail_grown |= self.trail.add(self.believed)
         said = {"u_mps": odometry.u_mps, "w_radps": odometry.w_radps}

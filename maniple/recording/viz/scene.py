@@ -36,7 +36,7 @@ BODY_M, OBSTACLE_M, WALL_M = 0.2, 0.4, 0.02
 
 LINE_M = 0.025
 
-_HELD = ("age", "clearance", "blind")
+_HELD = ("age", "clearance", "blind", "fence")
 """What the guard does that its robot would not."""
 
 _STANDS = ("emergency", "fault")
@@ -85,11 +85,13 @@ def robots(scenario: Scenario, bearings: Mapping[str, Bearing], ghosts: Sequence
     return wire(SceneUpdate(entities=entities))
 
 
-def obstacles(things: Sequence[Obstacle], time: Time) -> bytes:
-    """The obstacles of a scenario; they stay."""
+def obstacles(things: Sequence[Obstacle], fence: Sequence[Point], time: Time) -> bytes:
+    """The obstacles of a scenario, and the fence that its guards keep the robots inside; they stay."""
     entity = SceneEntity(timestamp=timestamp(time), frame_id=WORLD, id="obstacles")
     for thing in things:
         _add_obstacle(entity, thing)
+    if fence:
+        entity.lines.append(_line(fence, 0.02, LinePrimitive.LINE_LOOP, colour(RED)))
     return wire(SceneUpdate(entities=[entity]))
 
 

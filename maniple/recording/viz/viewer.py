@@ -101,14 +101,24 @@ class Viewer:
 
     def wants(self, topic: str) -> bool:
         """Whether messages of a topic matter. Scans do as the agents pass them on, not as the drivers give
-        them."""
+        them; orders as they are given to drives, not as vehicles of the simulator carry them out."""
         try:
             row = topics.topic(topic)
         except MessageError:
             return False
         about = topic.split("/")[1] if "{id}" in row.pattern else ""
         known = about in self._robots or not about
-        return row.type in _WANTED and known and (row.type is not Scan or row.network == "fleet")
+        inner = row.pattern.startswith("sim/{id}/") or (row.type is Scan and row.network != "fleet")
+        return row.type in _WANTED and known and not inner
+
+    def frame_of(self, odometry: Odometry) -> Pose | None:
+        """Where the frame of an odometry that was seen is in the world; None where nobody knows."""
+        return self._robots[odometry.source].frame_of(odometry)
+
+    def reference_of(self, state: FormationState) -> Pose:
+        """Where the desired formation's frame is in the world."""
+        origin = self._robots[state.frame].origin if state.frame in self._robots else Pose(0.0, 0.0, 0.0)
+        return origin.compose(Pose(*state.reference))
 
     def begin(self) -> None:
         """Tell all anew that has not changed: whoever looks, looks from here on."""
@@ -203,8 +213,7 @@ class Viewer:
         places = unpack_floats(state.points, 2).tolist() if state.points else self._scenario.formation.points
         if len(places) != len(state.chain) or len(places) < 3:
             return []
-        origin = self._robots[state.frame].origin if state.frame in self._robots else Pose(0.0, 0.0, 0.0)
-        frame = origin.compose(Pose(*state.reference))
+        frame = self.reference_of(state)
         turned = (frame.rotate(*place) for place in places)
         return [(frame.x + x, frame.y + y) for x, y in turned]
 
@@ -243,7 +252,8 @@ class Viewer:
             yield Drawn(ROBOTS, scene.robots(self._scenario, bearings, ghosts, time), time)
         if again:
             self._again_due = time + AGAIN
-            yield Drawn(OBSTACLES, scene.obstacles(self._scenario.world.obstacles, time), time)
+            stands = scene.obstacles(self._scenario.world.obstacles, self._scenario.guard.fence, time)
+            yield Drawn(OBSTACLES, stands, time)
 
     def _told(self, lines: Iterable[Line], time: Time) -> Iterator[Drawn]:
         for name, (what, weight) in lines:

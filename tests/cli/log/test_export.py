@@ -41,6 +41,14 @@ def test_files_for_viewers(tmp_path: Path, format: str, ending: str) -> None:
     assert f"for viewers: {tmp_path / f'run{ending}'}" in result.stdout
 
 
+def test_a_bag(tmp_path: Path) -> None:
+    path = faulty_run(tmp_path).path
+    result = CliRunner().invoke(app, ["export", str(path), "--to", "rosbag2", "--topic", "sim/*"])
+    assert result.exit_code == 0
+    assert f"of ROS 2: {tmp_path / 'run-rosbag2'}" in result.stdout
+    assert (tmp_path / "run-rosbag2" / "metadata.yaml").exists()
+
+
 def test_export_for_people(tmp_path: Path) -> None:
     path = record(tmp_path / "a.mcap", [*traffic(40), Sent("hw/r1/drive", b"?", 1, 1, 1)])
     out = tmp_path / "out"

@@ -30,6 +30,7 @@ from maniple.core.messages import (
     Truth,
     unpack_floats,
 )
+from maniple.core.scenario.types import Guard
 from maniple.core.time import MILLISECOND, SECOND, VIRTUAL_EPOCH
 from maniple.recording.viz import Drawn, Viewer
 from maniple.report.truth import desired_points, estimated_poses, origin_of
@@ -180,7 +181,7 @@ def test_a_forged_sender_draws_nothing() -> None:
 def test_only_what_it_can_draw_is_wanted() -> None:
     viewer = Viewer(run().scenario)
     wanted = ("robot/r1/odometry", "robot/r1/ranges", "hw/r1/drive", "sim/truth", "formation/state")
-    others = ("robot/r9/odometry", "hw/r1/scan", "journal/r1", "links/r1", "else/where", "robot/r1/command")
+    others = ("robot/r9/odometry", "hw/r1/scan", "sim/r1/drive", "journal/r1", "links/r1", "else/where")
     assert all(map(viewer.wants, wanted))
     assert not any(map(viewer.wants, others))
 
@@ -318,6 +319,14 @@ def test_obstacles_stand_where_they_are() -> None:
     (prism,) = entity.triangles
     assert len(prism.points) == 8
     assert len(prism.indices) == 3 * (2 + 8)
+
+
+def test_a_fence_is_drawn_round() -> None:
+    scenario = replace(run().scenario, guard=Guard(fence=((-3, -3), (9, -3), (9, 4))))
+    pictures = tuple(draw(scenario, run().seen[:20]))
+    (line,) = read("/viz/obstacles", SceneUpdate, pictures)[0][1].entities[0].lines
+    assert line.type == line.LINE_LOOP
+    assert [(one.x, one.y) for one in line.points] == [(-3, -3), (9, -3), (9, 4)]
 
 
 def test_a_trail_follows_the_robot() -> None:
