@@ -7,7 +7,9 @@ Only pymavlink's dialect is loaded, at the first use: 60 ms and 14 MB, where its
 30 MB.
 """
 
+import importlib
 import socket
+import struct
 import threading
 import time
 from collections.abc import Callable
@@ -34,16 +36,19 @@ _MOST_WAITING = 4096
 _MOST_PEERS = 16
 
 
-def load_dialect() -> Any:
-    """pymavlink's messages, those of ArduPilot among them.
+def load_dialect(serial: bool = False) -> Any:
+    """pymavlink's messages, those of ArduPilot among them. With `serial` pyserial has to be there, too.
 
     Raises:
         MissingExtraError: it is not installed.
     """
     try:
         from pymavlink.dialects.v20 import ardupilotmega
-    except ImportError:
-        raise MissingExtraError("driver = 'mavlink' (pymavlink)", "mavlink") from None
+
+        if serial:
+            importlib.import_module("serial")
+    except ImportError as error:
+        raise MissingExtraError(f"MAVLink ({error.name})", "mavlink") from None
     return ardupilotmega
 
 
@@ -58,8 +63,8 @@ class _Wire(Protocol):
         """How many of the bytes were taken."""
         ...
 
-    def close(self) -> None:
-        """Let it go."""
+    def close(self, abandon: bool = False) -> None:
+        """Let it go; with `abandon` what is still under way is thrown away."""
         ...
 
 
@@ -88,7 +93,9 @@ class _Tcp:
         except BlockingIOError:
             return 0
 
-    def close(self) -> None:
+    def close(self, abandon: bool = False) -> None:
+        if abandon:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         self._socket.close()
 
 
@@ -96,10 +103,8 @@ class _Serial:
     """One serial port."""
 
     def __init__(self, connection: Connection) -> None:
-        try:
-            import serial
-        except ImportError:
-            raise MissingExtraError(f"driver = 'mavlink' (pyserial, for {connection})", "mavlink") from None
+        import serial
+
         self._port = serial.Serial(
             connection.where, connection.number, timeout=0, write_timeout=0, exclusive=True
         )  # its SerialException is an OSError
@@ -110,7 +115,10 @@ class _Serial:
     def write(self, data: bytes) -> int:
         return self._port.write(data) or 0
 
-    def close(self) -> None:
+    def close(self, abandon: bool = False) -> None:
+        if abandon:
+            with suppress(OSError):
+                self._port.reset_output_buffer()
         self._port.close()
 
 
@@ -136,7 +144,7 @@ class _Datagrams:
                 self._socket.sendto(data, self._address)
         return len(data)  # a datagram is taken whole or lost
 
-    def close(self) -> None:
+    def close(self, abandon: bool = False) -> None:  # noqa: ARG002
         if self._address is None:
             self._socket.close()
 
@@ -194,7 +202,7 @@ class MavlinkLink:
             self.connection = parse_connection(connection)
         except ArgumentError as error:
             raise TransportError(str(error)) from None
-        self.dialect = load_dialect()
+        self.dialect = load_dialect(self.connection.kind == "serial")
         self.reason = ""
         """Why it is not connected; empty while it is."""
         self._ids = system_id, component_id
@@ -281,10 +289,11 @@ class MavlinkLink:
             except OSError as error:
                 self._lose(key, error)
 
-    def close(self) -> None:
-        """Let go of everything. A second time it does nothing."""
+    def close(self, abandon: bool = False) -> None:
+        """Let go of everything; with `abandon` what was sent and has not left yet is thrown away, where the
+        system can. A second time it does nothing."""
         for key in list(self._peers):
-            self._forget(key)
+            self._forget(key, abandon)
         if self._listening is not None:
             self._listening.close()
             self._listening = None
@@ -331,8 +340,6 @@ class MavlinkLink:
         if self._attempt.is_alive():
             return
         attempt, self._attempt = self._attempt, None
-        if isinstance(attempt.error, MissingExtraError):
-            raise attempt.error
         if attempt.wire is None:
             self.reason = f"{self.connection}: {_words(attempt.error)}"
         else:
@@ -409,14 +416,14 @@ class MavlinkLink:
         if not self._peers:
             self.reason = f"{self.connection}: {_words(error)}"
 
-    def _forget(self, key: Any) -> None:
+    def _forget(self, key: Any, abandon: bool = False) -> None:
         """Of a peer only its counts are left."""
         peer = self._peers.pop(key)
         self._bad += peer.framer.bad
         self._lost += peer.framer.lost
         self._dropped += peer.dropped
         with suppress(OSError):
-            peer.wire.close()
+            peer.wire.close(abandon)
 
 
 class _Attempt(threading.Thread):
@@ -435,7 +442,7 @@ class _Attempt(threading.Thread):
         """Connect; what nobody waits for any more is closed."""
         try:
             wire = self._make()
-        except (OSError, ValueError, MissingExtraError) as error:
+        except (OSError, ValueError) as error:
             self.error = error
             return
         with self._lock:

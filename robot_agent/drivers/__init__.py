@@ -7,9 +7,11 @@ from maniple.core.errors import ScenarioError
 from maniple.core.scenario.types import Robot, Scenario
 from robot_agent.drivers import simulator
 from robot_agent.drivers.interface import Capabilities, DriverFactory
+from robot_agent.drivers.mavlink.driver import MavlinkDriver
 from robot_agent.drivers.ros2.driver import Ros2Driver
 
 BUILTIN: Mapping[str, DriverFactory] = {
+    "mavlink": MavlinkDriver,
     "ros2": Ros2Driver,
 }
 """Drivers that are part of this program, by the names that scenarios use. The simulator is a node."""

@@ -1,0 +1,1 @@
+"""ArduPilot Rover over MAVLink."""
