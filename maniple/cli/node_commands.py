@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from maniple.cli import vehicle_run
 from maniple.cli.interrupt import on_interrupt
 from maniple.core.errors import ArgumentError, ScenarioError
 from maniple.core.scenario.parse import parameters_of
@@ -35,7 +34,7 @@ COMMANDS: Mapping[str, str] = {
     "agent": "Run the agent of one robot.",
     "controller": "Run the formation controller.",
     "simulator": "Run the simulator, which stands for the physical world.",
-    "vehicle": vehicle_run.ABOUT,
+    "vehicle": "Show a robot of the simulator as the vehicle that it presents.",
     "recorder": "Record everything until interrupted.",
     "router": "Run a router: it relays everything and keeps the last value of every latched topic.",
     "finish": "Wait until the task is done, then end all processes of a platoon that nobody supervises.",
@@ -80,7 +79,8 @@ def _parser() -> ArgumentParser:
     made["controller"].set_defaults(run=_node, name="controller", hardware=None)
     made["simulator"].set_defaults(run=_node, name="simulator")
     made["vehicle"].add_argument("robot", help="id of the robot")
-    made["vehicle"].set_defaults(run=vehicle_run.run)
+    made["vehicle"].set_defaults(run=_vehicle)
+    made["vehicle"].epilog = _VEHICLE_EPILOG
     made["recorder"].set_defaults(run=_recorder)
     made["router"].set_defaults(run=_router)
     made["finish"].set_defaults(run=_finish)
@@ -108,6 +108,13 @@ _DRIVER_EPILOG = (
     "Stops the robot where its agent is not heard for 0.3 s, and when it is asked to end. Exit status: 0 "
     "when it was asked to end, also by SIGINT and SIGTERM; 1 when a newer life of it has taken over, or it "
     "failed; 2 bad input."
+)
+
+
+_VEHICLE_EPILOG = (
+    "It listens at the other end of the connection in robots.mavlink, or speaks the topics in robots.ros2, "
+    "for the robot's driver and whoever else comes. Exit status: 0 when it was asked to end, also by SIGINT "
+    "and SIGTERM; 1 when a newer life of it has taken over, or it failed; 2 bad input, or its port is taken."
 )
 
 
@@ -241,6 +248,12 @@ def _node(name: str, scenario: str, **options: Any) -> None:
 
 def _driver(**options: Any) -> None:
     from maniple.cli.driver_run import run
+
+    run(**options)
+
+
+def _vehicle(**options: Any) -> None:
+    from maniple.cli.vehicle_run import run
 
     run(**options)
 

@@ -57,7 +57,8 @@ CRITICAL, WARNING, INFO = 2, 4, 6
 """MAV_SEVERITY."""
 
 _POSITION, _VELOCITY, _ACCELERATION, _YAW, _YAW_RATE = 0x003, 0x018, 0x1C0, 0x400, 0x800
-"""Bits of the type mask of SET_POSITION_TARGET_LOCAL_NED: what is to be ignored. A rover does not look at z."""
+"""Bits of the type mask of SET_POSITION_TARGET_LOCAL_NED: what is to be ignored. Rovers do not look at
+z."""
 _LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED = 1, 7, 8, 9
 _FRAMES = (_LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED)
 _LOCAL_FRD, _BODY_FRD = 20, 12
