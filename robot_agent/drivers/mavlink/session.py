@@ -367,8 +367,8 @@ class Session:
         elif now - self._still_since > MOVES_WITHIN and not self._stuck:
             self._stuck = (
                 f"it was told to drive for {to_seconds(MOVES_WITHIN):g} s and does not move (a safety "
-                "switch, its motors); it is used again once a pilot has put it into HOLD and back into GUIDED, "
-                "armed"
+                "switch, its motors); it is used again once a pilot has put it into HOLD and back into "
+                "GUIDED, armed"
             )
             self._away, self._still_since = False, None
 
@@ -388,8 +388,8 @@ class Session:
             said = vehicle.texts(now, _FAILSAFES)
             why = f" ({'; '.join(said)})" if said else ""
             return (
-                f"{self._taken}: mode {vehicle.mode_name}, {armed}{why}; it is used again once it is given back: "
-                "GUIDED, armed"
+                f"{self._taken}: mode {vehicle.mode_name}, {armed}{why}; it is used again once it is given "
+                "back: GUIDED, armed"
             )
         if self._stuck:
             return self._stuck
