@@ -8,7 +8,7 @@ import math
 import random
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any, NamedTuple, TypeAlias
@@ -325,7 +325,7 @@ def _pure(run: Callable[[], object]) -> dict[str, Check]:
         return None if before == _random_state() else "it draws from a global random source"
 
     def outside() -> str | None:
-        with _watched() as called:
+        with watched(_FORBIDDEN) as called:
             run()
         return f"it calls {', '.join(sorted(called))}" if called else None
 
@@ -349,15 +349,16 @@ _FORBIDDEN = {
 
 
 @contextmanager
-def _watched() -> Iterator[set[str]]:
-    """The forbidden functions that are called in the block, however they were imported. The garbage collector
-    stands still: what listens to it may look at the clock, and is not the layer's."""
+def watched(forbidden: Collection[str]) -> Iterator[set[str]]:
+    """Those of the forbidden functions, written in C, that are called in the block, however they were
+    imported. The garbage collector stands still: what listens to it may look at the clock, and is not of what
+    is watched."""
     called: set[str] = set()
 
     def note(_: FrameType, event: str, function: Any) -> None:
         if event == "c_call":
             name = getattr(function, "__name__", "")
-            if name in _FORBIDDEN:
+            if name in forbidden:
                 called.add(f"{getattr(function, '__module__', None) or 'datetime'}.{name}")
 
     before, collects = sys.getprofile(), gc.isenabled()
