@@ -10,8 +10,10 @@ from maniple.cli.nodes import RUNDOWN_S, factories, time_limit_s
 from maniple.cli.outcome import Outcome
 from maniple.cli.progress import Progress, ProgressWatch
 from maniple.cli.recording_options import EVERYTHING, RecordingOptions
-from maniple.core import codec
+from maniple.core import codec, topics
+from maniple.core.edges import preflight_asked
 from maniple.core.envelope import Envelope
+from maniple.core.errors import ScenarioError
 from maniple.core.messages import FormationState
 from maniple.core.scenario.check_faults import PROCESSES
 from maniple.core.scenario.parse import to_json
@@ -38,8 +40,15 @@ def run_virtual(
     `inputs` are what operators say, and when. `log` must not be there.
 
     Raises:
+        ScenarioError: the platoon would wait for ever for somebody to test its emergency stop.
         RecordingError: the recording can't be written.
     """
+    tested = any(envelope.topic == topics.STOP for _, envelope in inputs)
+    if preflight_asked(scenario) and scenario.preflight.estop and not tested:
+        raise ScenarioError(
+            "preflight.estop = true: in virtual time nobody tests the emergency stop, so the platoon would "
+            "wait for ever; set preflight.estop = false, or run it without --virtual"
+        )
     for notice in _without_process(scenario):
         on_notice(notice)
     summary = Summary(scenario)
