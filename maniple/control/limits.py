@@ -62,16 +62,12 @@ class Velocity(NamedTuple):
 
 
 def limits_of(scenario: Scenario, robot: Robot) -> Limits:
-    """The limits of a robot of a resolved scenario.
-
-    The circle around the body is centred on the axle, so that the robot may turn on the spot in it. A car
-    can't, and its axle is far from its middle: its circle is centred on the body.
-    """
+    """The limits of a robot of a resolved scenario."""
     model, rates = scenario.model_of(robot), scenario.rates
     th1, th2, _, th4, _, th6 = model.theta
     hold_s, stop_s = age_limits(scenario, robot)
     curvature = curvature_max(model)
-    centre = model.body_offset_m if model.drive == "car" else 0.0
+    centre, radius = outline.circle(model)
     avoids = "avoidance" in onboard_layers(scenario.placement.robot_from)
     return Limits(
         u_min=-model.u_max_mps,
@@ -80,7 +76,7 @@ def limits_of(scenario: Scenario, robot: Robot) -> Limits:
         u_accel=model.u_accel_mps2,
         w_accel=model.w_accel_radps2,
         brake=model.brake_mps2,
-        radius=outline.radius(model, centre),
+        radius=radius,
         gain=max(1.0, 1.0 / th4, 1.0 / th6),
         u_lag_s=th1 / th4,
         w_lag_s=th2 / th6,

@@ -7,6 +7,8 @@ from itertools import combinations
 from maniple.core.errors import ScenarioError
 from maniple.core.scenario import outline
 from maniple.core.scenario.check_faults import fault_problems, some
+from maniple.core.scenario.check_fence import fence_problems
+from maniple.core.scenario.check_hardware import hardware_problems
 from maniple.core.scenario.check_task import FARTHEST_M, TOLERANCE_M, speed_limit, task_problems
 from maniple.core.scenario.parse import type_problems
 from maniple.core.scenario.places import Shape, desired_shapes
@@ -54,6 +56,8 @@ def problems(scenario: Scenario) -> list[str]:
         _rates,
         fault_problems,
         _distances,
+        hardware_problems,
+        fence_problems,
     )
     return [text for part in parts for text in part(scenario)]
 

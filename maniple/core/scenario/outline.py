@@ -29,6 +29,17 @@ def radius(model: RobotModel, centre_m: float = 0.0) -> float:
     return math.hypot(0.5 * model.length_m + abs(model.body_offset_m - centre_m), 0.5 * model.width_m)
 
 
+def circle(model: RobotModel) -> tuple[float, float]:
+    """The circle around a robot's body that its guard keeps clear: how far ahead of the middle of the axle
+    its middle is, and its radius, m.
+
+    It is centred on the axle, so that the robot may turn on the spot in it. A car can't, and its axle is far
+    from its middle: its circle is centred on the body.
+    """
+    ahead = model.body_offset_m if model.drive == "car" else 0.0
+    return ahead, radius(model, ahead)
+
+
 def corners_of(obstacle: Box | Polygon | Wall) -> Corners:
     """Corners of an obstacle that has some; the two ends of a wall."""
     match obstacle:
