@@ -99,7 +99,8 @@ class RobotAgent:
         self._motion_stale = _stale_after(topics.motion(robot_id), capabilities.motion_hz)
         self._gauge = dead_reckoning.gauge_of(model, in_world=capabilities.frame == WORLD)
         self._pipeline = Pipeline(onboard_layers(layer), scenario, robot, parts)
-        self._scan_stale = _stale_after(topics.scan(robot_id), capabilities.scan_hz)
+        scan_hz = capabilities.scan_hz if self._scan_source == self._motion_source else 0.0
+        self._scan_stale = _stale_after(topics.scan(robot_id), scan_hz or scenario.rates.scan_hz)
         self._sensing = RangeSensing(self._scan_stale)
         self._orders = Orders(layer, incarnation)
         self._emergency = Emergency()

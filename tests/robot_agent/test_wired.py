@@ -45,8 +45,8 @@ class Wired(NamedTuple):
     capabilities: Capabilities
 
 
-def wired(frame: str) -> Any:
-    able = Capabilities(0.6, 1.0, True, True, 20.0, 10.0, frame)
+def wired(frame: str, scan_hz: float) -> Any:
+    able = Capabilities(0.6, 1.0, True, True, 20.0, scan_hz, frame)
     return lambda scenario, robot, endpoint="": Wired(able)
 
 
@@ -57,7 +57,7 @@ class Cell:
         self, make: Make, frame: str = "r1", guard: Guard = LAW, incarnation: int = 1, scans: str = ""
     ) -> None:
         robot = Robot(id="r1", control_point_m=0.3, pose=START, driver="wire", scans=scans)
-        drivers = {"wire": wired(frame)}
+        drivers = {"wire": wired(frame, 10.0 if scans in ("", "wire") else 0.0)}
         self.scenario = make(robots=(robot,), guard=guard, placement=Placement(robot_from="drive"))
         self.agent = RobotAgent(self.scenario, "r1", incarnation, drivers=drivers)
         self.now = T0
