@@ -13,10 +13,11 @@ from math import inf
 
 import msgspec
 
-from maniple.core import topics
+from maniple.core import codec, topics
 from maniple.core.envelope import Envelope, envelope_of
 from maniple.core.errors import MessageError, RecordingError, RunError
-from maniple.core.messages import FaultPlan
+from maniple.core.messages import FaultPlan, Journal
+from maniple.core.scenario.parse import to_json
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import MILLISECOND, Duration, Time
 from maniple.host.clock import Anchor
@@ -29,6 +30,7 @@ from maniple.host.recorder_control import Control
 from maniple.host.recorder_drawing import Drawing
 from maniple.host.recorder_orders import own_name, read_order, take_orders
 from maniple.host.recorder_space import Space
+from maniple.recording.other_scenarios import OTHERS_NAME, OtherScenarios
 from maniple.recording.rolling import RollingWriter
 from maniple.recording.split import PartsWriter
 from maniple.recording.tally import Stream
@@ -53,6 +55,8 @@ LATE_S = 3.0
 MOST_STRANGE = 256
 """Keys that are recorded beside those of the scenario's nodes: users' own, and garbage."""
 _LONGEST_KEY = 256
+
+_JOURNALS = topics.journal("")
 
 
 class RecorderHost:
@@ -94,6 +98,7 @@ class RecorderHost:
         self._store = LatchedStore()
         self._flowing: dict[str, Envelope] = {}
         self._lives = Lives()
+        self._others = OtherScenarios(to_json(scenario))
         self._router_went = False
         self._late_at = inf
         self._fate = Fate(RECORDER, (RECORDER,), clock.now())
@@ -178,6 +183,16 @@ class RecorderHost:
                 self._flowing[topic] = envelope
             else:
                 self._store.keep(topic, data)
+        if envelope.seq == 0 and topic.startswith(_JOURNALS):
+            self._look_at_start(topic, data)
+
+    def _look_at_start(self, topic: str, data: bytes) -> None:
+        """Of the first journal of a life: say if that runs another scenario."""
+        with contextlib.suppress(MessageError):
+            journal = codec.decode(topic, data)
+            if isinstance(journal, Journal) and (text := self._others.heard(journal)):
+                say(text)
+                self._writer.note(OTHERS_NAME, self._others.found)
 
     def _record(self, item: Arrived, arrival: Time, stamp: Time, seq: int) -> None:
         taken = self._taken.get(item.topic)

@@ -12,6 +12,7 @@ from maniple.core.errors import MessageError
 from maniple.core.messages import Journal
 from maniple.core.time import Time, to_seconds
 from maniple.recording.absence import Absences
+from maniple.recording.other_scenarios import OtherScenarios
 from maniple.recording.reader import Recorded, Recording
 from maniple.recording.scan import Damage, checksum_of
 from maniple.recording.tally import Gap, Stream, Tally
@@ -76,6 +77,8 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     left_out: int
     absences: tuple[str, ...]
     """What was left out on purpose."""
+    other_scenarios: tuple[str, ...]
+    """What there is to say of nodes that ran another scenario than the one in the recording."""
     viewer_channels: int
     """Channels of what was derived for viewers, beside those of the messages."""
     channels: tuple[ChannelInfo, ...]
@@ -116,6 +119,7 @@ def describe(recording: Recording) -> Info:
         missing=sum(channel.missing for channel in channels),
         left_out=sum(channel.left_out for channel in channels),
         absences=reading.absences.texts(reading.start_ns),
+        other_scenarios=reading.others.texts,
         viewer_channels=len(recording.viewer_keys),
         channels=channels,
         metadata=dict(metadata),
@@ -130,6 +134,8 @@ class _Reading:
         self.end_ns: Time = 0
         self._recording = recording
         self._tally = Tally()
+        self.others = OtherScenarios(recording.scenario_json)
+        """Who ran another scenario."""
         self._channels: defaultdict[str, _Channel] = defaultdict(_Channel)
         self._last: dict[tuple[str, str, int], tuple[int, Time]] = {}
         """The number after the highest of each stream, and when that arrived."""
@@ -158,6 +164,7 @@ class _Reading:
             channel.unreadable += 1
         elif isinstance(message, Journal):
             self._tally.told(header.source, header.incarnation, message.sent)
+            self.others.heard(message)
 
     def channels(self) -> tuple[ChannelInfo, ...]:
         """All topics of which something is there, or ought to be."""

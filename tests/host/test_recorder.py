@@ -10,8 +10,8 @@ import msgspec
 import pytest
 
 from maniple.core import codec, topics
-from maniple.core.messages import EmergencyStop, FaultPlan, Message, Odometry
-from maniple.core.scenario.parse import to_json
+from maniple.core.messages import Call, EmergencyStop, FaultPlan, Journal, Message, Odometry
+from maniple.core.scenario.parse import digest_of, to_json
 from maniple.core.time import SECOND
 from maniple.host.clock import Anchor
 from maniple.host.fate import Death, Pause
@@ -205,6 +205,32 @@ def test_what_is_left_out_is_held_all_the_same(endpoint: str, tmp_path: Path) ->
         node.settle()
         eventually(lambda: host._store.message(topics.STOP))
     assert recorded(path) == {TOPIC: [message(0)]}
+
+
+def test_who_runs_another_scenario_is_told_of_once(
+    endpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, own = tmp_path / "a.mcap", digest_of(to_json(scenario_with()))
+    said = [
+        (source, seq, Call("start", 5, digest))
+        for source, seq, digest in (
+            ("r1", 0, own),
+            ("r2", 0, "f" * 64),
+            ("r2", 0, "f" * 64),
+            ("r3", 0, ""),
+            ("controller", 3, "e" * 64),
+        )
+    ]
+    with recorder(endpoint, path), ZenohSession.client(endpoint, "test") as node:
+        for source, seq, call in said:
+            journal = Journal(source=source, incarnation=2, seq=seq, stamp_ns=seq, calls=(call,))
+            node.put(topics.journal(source), codec.encode(journal))
+        node.settle()
+    told = [line for line in capsys.readouterr().err.splitlines() if "another scenario" in line]
+    assert len(told) == 1
+    assert f"r2 (life 2) runs another scenario ({'f' * 16}) than the recorder's ({own[:16]})" in told[0]
+    (metadata,) = read(path).all_metadata
+    assert metadata["maniple.other_scenarios"] == {"r2 (life 2)": "f" * 64}
 
 
 def test_what_came_before_is_told_by_its_sender() -> None:

@@ -4,7 +4,8 @@ from pathlib import Path
 import pytest
 
 from maniple.core import codec
-from maniple.core.messages import Journal
+from maniple.core.messages import Call, Journal
+from maniple.core.scenario.parse import digest_of
 from maniple.recording.info import Info, StreamInfo, describe
 from maniple.recording.reader import read
 from maniple.recording.tally import Gap
@@ -62,6 +63,16 @@ def test_channels(tmp_path: Path) -> None:
         ("hw/r2/scan", "Scan", 41),
     ]
     assert all(channel.rate_hz == pytest.approx(20.0) for channel in found)
+
+
+def test_whose_journal_begins_with_another_scenario_is_told(tmp_path: Path) -> None:
+    sent = []
+    for now, (source, digest) in enumerate((("r1", digest_of(SCENARIO)), ("r2", "a" * 64), ("r3", ""))):
+        calls = (Call("start", now, digest), Call("timer", now, "b" * 64))
+        journal = Journal(source=source, incarnation=3, seq=0, stamp_ns=now, calls=calls)
+        sent.append(Sent(f"journal/{source}", codec.encode(journal), now, now, 0))
+    (told,) = info_of(tmp_path, sent).other_scenarios
+    assert told.startswith(f"r2 (life 3) runs another scenario ({'a' * 16}) than the recorder's (")
 
 
 def test_recording_without_messages(tmp_path: Path) -> None:

@@ -44,6 +44,8 @@ def _print(file: Path, found: Info) -> None:
             console.print(Text(line), soft_wrap=True)
     for line in found.absences:
         console.print(Text(f"left out on purpose: {line}"), soft_wrap=True)
+    for line in found.other_scenarios:
+        console.print(Text(line, style="yellow"), soft_wrap=True)
     for line in found.passed_over:
         console.print(Text(f"passed over: {line}"), soft_wrap=True)
     if found.lacking:
