@@ -248,3 +248,53 @@ def test_a_client_knows_whether_it_has_its_router() -> None:
         eventually(lambda: not client.connected)
         with ZenohSession.router(address, "test"):
             eventually(lambda: client.connected)
+
+
+def test_raw_publishers_reach_raw_subscribers_with_their_attachments_until_it_ends(endpoint: str) -> None:
+    heard: SimpleQueue[tuple[str, bytes, bytes | None]] = SimpleQueue()
+    with ZenohSession.client(endpoint, "") as ear, ZenohSession.client(endpoint, "test") as mouth:
+        end = ear.subscribe_raw("test/**", lambda *sample: heard.put(sample))
+        ear.settle()
+        publisher = mouth.raw_publisher("odd/name")
+        publisher.put(b"with", b"attachment")
+        publisher.put(b"without")
+        assert heard.get(timeout=DEADLINE_S) == ("test/odd/name", b"with", b"attachment")
+        assert heard.get(timeout=DEADLINE_S) == ("test/odd/name", b"without", None)
+        end()
+        end()
+        ear.settle()
+        publisher.put(b"nobody")
+        mouth.settle()
+    assert heard.empty()
+
+
+def test_huge_bytes_do_not_reach_raw_subscribers(endpoint: str) -> None:
+    heard: SimpleQueue[bytes] = SimpleQueue()
+    with ZenohSession.client(endpoint, "") as ear, ZenohSession.client(endpoint, "") as mouth:
+        ear.subscribe_raw("big", lambda _name, data, _attachment: heard.put(data))
+        ear.settle()
+        mouth.put_raw("big", bytes(MAX_BYTES + 1))
+        mouth.put_raw("big", b"small")
+        assert heard.get(timeout=DEADLINE_S) == b"small"
+
+
+def test_who_comes_late_gets_the_history_of_a_raw_publisher(endpoint: str) -> None:
+    heard: SimpleQueue[bytes] = SimpleQueue()
+    with ZenohSession.client(endpoint, "") as ear, ZenohSession.client(endpoint, "") as mouth:
+        publisher = mouth.raw_publisher("kept", history=2)
+        for number in range(4):
+            publisher.put(b"%d" % number)
+        mouth.settle()
+        ear.subscribe_raw("kept", lambda _name, data, _attachment: heard.put(data), history=2)
+        assert [heard.get(timeout=DEADLINE_S) for _ in range(2)] == [b"2", b"3"]
+
+
+def test_tokens_are_seen_to_come_and_go(endpoint: str) -> None:
+    seen: SimpleQueue[tuple[str, bool]] = SimpleQueue()
+    with ZenohSession.client(endpoint, "") as ear, ZenohSession.client(endpoint, "") as mouth:
+        end = mouth.declare_token("@space/a%b/§")
+        ear.watch_tokens("@space/**", lambda *change: seen.put(change))
+        assert seen.get(timeout=DEADLINE_S) == ("@space/a%b/§", True)
+        end()
+        assert seen.get(timeout=DEADLINE_S) == ("@space/a%b/§", False)
+        assert mouth.zid != ear.zid
