@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from central_controller.reference import Course
 from maniple.core.errors import ManipleError, MissingExtraError
 from maniple.core.geometry import Pose
+from maniple.core.palette import RED
 from maniple.core.scenario import outline
 from maniple.core.scenario.places import end_pose, fastest_mps, legs_of, start_pose
 from maniple.core.scenario.types import (
@@ -35,6 +36,9 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Okabe and Ito's palette, told apart by the colour-blind; without black and yellow."""
 
 INK, STONE, FAINT = "#222222", "#8C8C8C", "#D9D9D9"
+BOUND: Any = {"color": RED, "lw": 1.1, "ls": (0, (6, 2, 1, 2))}
+"""How a fence looks."""
+
 MARGIN_M = 0.35
 WIDTH_IN = 9.0
 TALLEST_IN = 9.0
@@ -84,6 +88,7 @@ def draw(scenario: Scenario) -> "Figure":
     try:
         from matplotlib import rc_context
         from matplotlib.figure import Figure
+        from matplotlib.patches import Polygon
     except ImportError:
         raise MissingExtraError("scenario draw", "report") from None
     with rc_context({"font.size": 9, "axes.linewidth": 0.6}):
@@ -99,6 +104,8 @@ def draw(scenario: Scenario) -> "Figure":
         axes.grid(color=FAINT, linewidth=0.4, zorder=0)
         axes.set_axisbelow(True)
         _draw_world(axes, scenario.world.obstacles)
+        if corners := scenario.guard.fence:
+            axes.add_patch(Polygon(corners, fill=False, zorder=1.5, **BOUND))
         _draw_paths(axes, scenario)
         _draw_formation(axes, scenario, _final(scenario), faint=True)
         _draw_formation(axes, scenario, [Pose(*_pose(robot)) for robot in scenario.robots], faint=False)
@@ -281,6 +288,8 @@ def _draw_legend(figure: "Figure", scenario: Scenario) -> None:
         rows.append(row(shell, ls="", marker="o", ms=9, mfc="none", mec=COLOURS[0], mew=0.7, alpha=0.6))
     if scenario.world.obstacles:
         rows.append(row("obstacle, index", ls="", marker="o", ms=8, mfc=STONE, mec=INK, mew=0.6))
+    if scenario.guard.fence:
+        rows.append(row("fence", **BOUND))
     columns = 4 if figure.get_figwidth() > 7 else 3
     figure.legend(handles=rows, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
 
@@ -317,6 +326,7 @@ def _extent(scenario: Scenario) -> tuple[float, float, float, float]:
     seen += [_station(leg)[:2] for leg in legs_of(scenario.task)]
     for obstacle in scenario.world.obstacles:
         seen += outline.box_around(obstacle)
+    seen += scenario.guard.fence
     xs, ys = zip(*seen, strict=True)
     metres_per_inch = max((max(xs) - min(xs)) / WIDTH_IN, (max(ys) - min(ys)) / TALLEST_IN)
     for robot, pose in zip(scenario.robots, poses, strict=True):  # room for a name on either side

@@ -1,6 +1,7 @@
 """The figure of trajectories: ways of all robots, obstacles, and the platoon at three moments."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -11,8 +12,9 @@ from matplotlib.patches import Polygon as Area
 from matplotlib.patheffects import withStroke
 
 from maniple.core.geometry import Floats
+from maniple.core.palette import RED
 from maniple.core.scenario import outline
-from maniple.core.scenario.types import Circle, Obstacle, Scenario, Wall
+from maniple.core.scenario.types import Circle, Scenario, Wall
 from maniple.report.series import Series, Snapshot
 from maniple.report.style import (
     BLUE,
@@ -34,6 +36,9 @@ MARGIN_M = 0.6
 NEAR_M = 1.5
 """Obstacles no farther than this from where the robots were are in the picture whole."""
 
+EDGE_M = 0.2
+"""Between a fence and the edge of the picture."""
+
 ROOM_IN = 0.45
 """Width of the labels beside the plot."""
 
@@ -43,6 +48,9 @@ PANEL_IN = 0.95
 
 SHADES = {"start": (SKY, "-"), "most deformed": (ORANGE, STRIPES[1]), "end": (PURPLE, STRIPES[2])}
 """Colour and line style of the triangles at each moment."""
+
+BOUND: Any = {"color": RED, "lw": 0.8, "ls": STRIPES[3]}
+"""How a fence looks."""
 
 
 def trajectories(series: Series) -> Figure | None:
@@ -60,7 +68,7 @@ def trajectories(series: Series) -> Figure | None:
     figure = sheet(high + near + 1.25)
     grid = figure.add_gridspec(2, 1, height_ratios=(high, near))
     axes = figure.add_subplot(grid[0])
-    _world(axes, series.scenario.world.obstacles)
+    _world(axes, series.scenario)
     few = len(ways) <= MANY
     axes.plot(series.path[:, 0], series.path[:, 1], color=INK, lw=0.7, ls=STRIPES[1], zorder=2)
     for index, way in enumerate(ways):
@@ -74,7 +82,7 @@ def trajectories(series: Series) -> Figure | None:
     for index, shot in enumerate(series.snapshots):
         panel = figure.add_subplot(below[index])
         middle = np.nanmean(shot.points, axis=0)
-        _world(panel, series.scenario.world.obstacles)
+        _world(panel, series.scenario)
         for name, way in enumerate(ways):
             how = look(name) if few else {"color": BLUE, "ls": "-"}
             panel.plot(way[:, 0], way[:, 1], lw=0.5, alpha=0.6, zorder=3, **how)
@@ -98,14 +106,19 @@ def _rows(series: Series, few: bool) -> list[Artist]:
     else:
         rows = [row(f"{len(series.robots)} robots{word}", color=BLUE, alpha=0.6)]
     rows.append(row("reference", color=INK, lw=0.7, ls=STRIPES[1]))
+    if series.scenario.guard.fence:
+        rows.append(row("fence", **BOUND))
     for shot in series.snapshots:
         colour, stripe = SHADES[shot.name]
         rows.append(row(shot.name, color=colour, ls=stripe))
     return rows
 
 
-def _world(axes: Axes, obstacles: Sequence[Obstacle]) -> None:
-    for obstacle in obstacles:
+def _world(axes: Axes, scenario: Scenario) -> None:
+    """Obstacles, and the fence."""
+    if scenario.guard.fence:
+        axes.add_patch(Area(scenario.guard.fence, fill=False, zorder=1.4, **BOUND))
+    for obstacle in scenario.world.obstacles:
         match obstacle:
             case Circle(centre=centre, radius_m=radius):
                 axes.add_patch(Disc(centre, radius, facecolor=STONE, edgecolor=INK, lw=0.4, zorder=1.5))
@@ -153,8 +166,9 @@ def _extent(seen: Sequence[Floats], scenario: Scenario) -> Floats:
     points = np.concatenate(seen)
     low, high = np.nanmin(points, axis=0) - MARGIN_M, np.nanmax(points, axis=0) + MARGIN_M
     box = np.array([low, high])
-    for obstacle in scenario.world.obstacles:
-        corners = np.array(outline.box_around(obstacle))
+    fence = np.array(scenario.guard.fence)
+    around = [np.array([fence.min(axis=0) - EDGE_M, fence.max(axis=0) + EDGE_M])] if len(fence) else []
+    for corners in [*around, *(np.array(outline.box_around(one)) for one in scenario.world.obstacles)]:
         if (corners[0] <= high + NEAR_M).all() and (corners[1] >= low - NEAR_M).all():
             corners = np.clip(corners, low - NEAR_M, high + NEAR_M)
             box = np.array([np.minimum(box[0], corners[0]), np.maximum(box[1], corners[1])])

@@ -8,6 +8,8 @@ import matplotlib.image
 import msgspec
 import numpy as np
 import pytest
+from matplotlib.patches import Polygon
+from msgspec.structs import replace
 from typer.testing import CliRunner, Result
 
 from maniple.cli import scenario_docs
@@ -18,7 +20,7 @@ from maniple.core.errors import ManipleError, MissingExtraError, ScenarioError
 from maniple.core.geometry import Pose
 from maniple.core.scenario.parse import toml_data
 from maniple.core.scenario.places import legs_of
-from maniple.core.scenario.types import Line, Scenario
+from maniple.core.scenario.types import Guard, Line, Scenario
 from maniple.core.scenario.ways import way_of
 
 ROOT = Path(__file__).parents[2]
@@ -242,10 +244,17 @@ def odd() -> Scenario:
     return loads("\n".join(lines).encode())
 
 
+def fenced() -> Scenario:
+    """With a fence far round it."""
+    return replace(load(PAPER), name="fenced", guard=Guard(fence=((-9, -3), (30, -3), (25, 9), (-9, 4))))
+
+
 SCENARIOS = sorted((ROOT / "scenarios").glob("*.toml"))
 
 
-@pytest.mark.parametrize("scenario", [odd(), *map(load, SCENARIOS)], ids=lambda scenario: scenario.name)
+@pytest.mark.parametrize(
+    "scenario", [odd(), fenced(), *map(load, SCENARIOS)], ids=lambda scenario: scenario.name
+)
 def test_everything_is_inside_the_frame_at_true_scale(scenario: Scenario) -> None:
     figure = draw(scenario)
     figure.draw_without_rendering()
@@ -319,3 +328,19 @@ def test_without_matplotlib_draw_says_how_to_get_it(tmp_path: Path, monkeypatch:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'maniple\[report\]'"):
         save(load(PAPER), tmp_path / "a.png")
+
+
+def test_a_fence_is_drawn_and_told_of() -> None:
+    scenario = fenced()
+    figure = draw(scenario)
+    (axes,) = figure.axes
+    assert (
+        sum(
+            isinstance(patch, Polygon)
+            and patch.get_xy()[:-1].tolist() == [list(p) for p in scenario.guard.fence]
+            for patch in axes.patches
+        )
+        == 1
+    )
+    assert "fence" in [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "fence" not in [text.get_text() for text in draw(load(PAPER)).legends[0].get_texts()]
