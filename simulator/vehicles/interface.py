@@ -18,6 +18,11 @@ class Vehicle(Protocol):
     blocks.
     """
 
+    @property
+    def refused(self) -> int:
+        """What came over its protocol since it was opened and was not understood, or not obeyed."""
+        ...
+
     def open(self, now: Time) -> None:
         """Switch it on: from now on others can reach it.
 

@@ -25,7 +25,7 @@ class MavlinkVehicle:
         self._rover: Rover | None = None
 
     @property
-    def bad(self) -> int:
+    def refused(self) -> int:
         """Runs of bytes that arrived and were no frame."""
         return self._link.bad if self._link is not None else 0
 

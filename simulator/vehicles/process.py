@@ -52,7 +52,7 @@ class VehicleHost:
         self._newer = 0
         self._order, self._sent = _STAND, -(2**62)
         self.refused: Counter[str] = Counter()
-        """What arrived and was not taken in, by reason."""
+        """What arrived and was not taken in, by reason; "over its protocol" is the vehicle's own count."""
 
     def stop(self) -> None:
         """Make `run` end; safe from a signal handler and from any thread."""
@@ -82,6 +82,8 @@ class VehicleHost:
         finally:
             now = self._clock.now()
             self._send(_STAND, now)
+            if refused := self._vehicle.refused:
+                self.refused["over its protocol"] = refused
             self._vehicle.close(now)
         if self._newer:
             raise RunError(

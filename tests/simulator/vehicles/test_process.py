@@ -33,6 +33,7 @@ class Toy:
         self.failure = failure
         self.opened = self.closed = False
         self.speed = 0.1
+        self.refused = 3
 
     def open(self, now: Time) -> None:
         if isinstance(self.failure, ManipleError):
@@ -132,7 +133,7 @@ def test_it_passes_reports_on_and_says_what_the_body_is_to_do(wired: Wired) -> N
     assert {(o.source, o.incarnation) for o in wired.orders} == {("r1-vehicle", 1)}
     assert [o.seq for o in wired.orders] == list(range(len(wired.orders)))
     assert {o.u_mps for o in wired.orders[:-1]} == {0.1}
-    assert host.refused == {"sender": 1, "malformed": 1}
+    assert host.refused == {"sender": 1, "malformed": 1, "over its protocol": 3}
 
 
 def test_a_steady_order_is_said_at_the_rate_of_drives_a_new_one_at_once(wired: Wired) -> None:
