@@ -13,7 +13,7 @@ from central_controller.reference import Course
 from maniple.cli import fault_text
 from maniple.control.limits import age_limits
 from maniple.control.pipeline import central_layers, onboard_layers
-from maniple.core import topics
+from maniple.core import edges, topics
 from maniple.core.faults import matches
 from maniple.core.layers import Layer
 from maniple.core.scenario import fields
@@ -32,6 +32,7 @@ from maniple.core.scenario.types import (
     Orbit,
     Point,
     Positioning,
+    Robot,
     Samples,
     Scenario,
     Waypoints,
@@ -251,6 +252,11 @@ def _notes(scenario: Scenario) -> Iterator[str]:
         yield f"the reference slows from {waiting.free_m:g} m of error on, and stands at {waiting.stop_m:g} m"
     if scenario.controller.host is not None:
         yield f"the controller runs on {scenario.controller.host}, in its odometry frame"
+    if edges.is_wired(scenario):
+        yield from (note for robot in scenario.robots for note in _hardware(robot))
+    if edges.preflight_asked(scenario):
+        estop = ", with a test of the emergency stop" if scenario.preflight.estop else ""
+        yield f"nothing moves before every robot has passed the pre-flight check{estop}"
     for crash in scenario.crashes:
         back = "" if crash.restart_after_s is None else f", and is back {crash.restart_after_s:g} s later"
         yield f"{crash.node} dies at {crash.at_s:g} s{back}"
@@ -261,6 +267,25 @@ def _notes(scenario: Scenario) -> Iterator[str]:
         yield f"from {partition.at_s:g} s {lasts} apart: {fault_text.groups(partition)}"
     for clock in scenario.clocks:
         yield f"the clock of {clock.node} is {clock.offset_s:+g} s off and {clock.skew_ppm:+g} ppm fast"
+
+
+def _hardware(robot: Robot) -> Iterator[str]:
+    """What drives a robot, and brings its scans, where that is not the simulator."""
+    mavlink, ros2 = robot.mavlink, robot.ros2
+    frame = "its own frame" if mavlink.origin is None else "the world frame"
+    router = ros2.router or "the router of the hardware network"
+    where = {
+        "mavlink": f"{mavlink.connection}, system {mavlink.system_id}, in {frame}, "
+        + ("armed by the driver" if mavlink.arm else "armed by a pilot"),
+        "ros2": f"{ros2.layout} on {router}, domain {ros2.domain_id}, namespace {ros2.namespace or robot.id}",
+    }
+    if edges.has_driver(robot):
+        shown = "; the simulator presents it" if edges.has_vehicle(robot) else ""
+        at = f" ({where[robot.driver]})" if robot.driver in where else ""
+        yield f"{robot.id} is driven by {robot.driver}{at}{shown}"
+    if robot.scans:
+        at = f" ({where[robot.scans]})" if robot.scans == "ros2" != robot.driver else ""
+        yield f"the scans of {robot.id} come from {robot.scans}{at}"
 
 
 def _laws(scenario: Scenario) -> Iterator[str]:
@@ -281,6 +306,8 @@ def _laws(scenario: Scenario) -> Iterator[str]:
         yield "no avoidance"
     yield f"compensation {drives.law}" if drives.enabled else "no compensation"
     yield "the guard keeps clear of what it sees" if scenario.guard.clearance else "no clearance in the guard"
+    if scenario.guard.fence:
+        yield f"the guard keeps inside a fence of {len(scenario.guard.fence)} corners"
 
 
 def _gains(gain: float | tuple[float, ...]) -> str:

@@ -187,6 +187,27 @@ def test_check_says_what_is_not_as_by_default() -> None:
     ]
 
 
+def test_check_says_what_hardware_there_is() -> None:
+    changes = (
+        "robots.r1.driver=ros2",
+        "robots.r1.ros2.namespace=/left",
+        "robots.r2.driver=mavlink",
+        "robots.r2.presents=mavlink",
+        "robots.r2.scans=ros2",
+        "robots.r2.ros2={router='tcp/10.0.0.2:7447', domain_id=3}",
+        "guard.fence=[[-99,-99],[99,-99],[0,99]]",
+    )
+    plan = checked(*(word for change in changes for word in ("--set", change)))
+    assert plan["notes"] == [
+        "r1 is driven by ros2 (rmw_zenoh on the router of the hardware network, domain 0, namespace /left)",
+        "r2 is driven by mavlink (tcp:127.0.0.1:5770, system 1, in its own frame, armed by a pilot); "
+        "the simulator presents it",
+        "the scans of r2 come from ros2 (rmw_zenoh on tcp/10.0.0.2:7447, domain 3, namespace r2)",
+        "nothing moves before every robot has passed the pre-flight check, with a test of the emergency stop",
+    ]
+    assert plan["laws"][-1] == "the guard keeps inside a fence of 3 corners"
+
+
 def test_check_refuses_what_is_not_valid() -> None:
     result = run("check", PAPER, "--set", "robots.1.id=r1")
     assert isinstance(result.exception, ScenarioError)

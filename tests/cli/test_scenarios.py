@@ -51,7 +51,9 @@ def test_the_papers_results_as_processes(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in ALL if not name.startswith(("paper-", "latency-"))])
+@pytest.mark.parametrize(
+    "name", [name for name in ALL if not name.startswith(("paper-", "latency-", "hardware-"))]
+)
 def test_the_others_complete_without_a_collision(tmp_path: Path, name: str) -> None:
     result = maniple.run(FOLDER / f"{name}.toml", virtual=True, log=tmp_path / "run.mcap")
     assert result.completed
