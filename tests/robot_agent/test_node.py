@@ -4,7 +4,9 @@ from typing import Any, TypeVar
 
 import pytest
 
+from maniple.cli.loading import robot_models
 from maniple.control.builtin import BUILTIN
+from maniple.control.geofence import fence_of, seen_from
 from maniple.control.limits import Velocity, limits_of
 from maniple.control.returns import returns_of
 from maniple.core import codec, topics
@@ -552,3 +554,29 @@ def test_in_the_simulated_world_it_is_not_driven_into_a_post(make_scenario: Make
     assert truths[-1].collisions == 0
     assert min(unpack_floats(truth.clearances)[0] for truth in truths) > 0.03
     assert unpack_floats(truths[-1].poses, 3)[0][0] > 1.2
+
+
+@pytest.mark.parametrize("model", ["pioneer-3dx", "pioneer-3dx-bare", "robotino", "f1tenth"])
+@pytest.mark.parametrize("speeds", [(0.7, 0.0), (-0.7, 0.0), (0.6, 0.3), (0.7, -1.5)])
+def test_in_the_simulated_world_it_does_not_leave_its_fence(
+    make_scenario: Make, model: str, speeds: tuple[float, float]
+) -> None:
+    robot = Robot(id="r1", model=model, control_point_m=0.3, pose=(3.0, -2.0, 0.7))
+    corners = ((1.5, -4.5), (4.5, -3.5), (5.0, 0.0), (3.4, -0.6), (2.0, 0.0))
+    scenario = make_scenario(
+        robots=(robot,),
+        models={model: robot_models()[model]},
+        placement=Placement(robot_from="drive"),
+        guard=Guard(clearance=False, hold_after_s=9.0, stop_after_s=10.0, fence=corners),
+    )
+    said = simulate(scenario, speeds, until_s=20.0, end_s=20.0)
+    fence, limits = fence_of(corners), limits_of(scenario, robot)
+    assert fence is not None
+    gaps = [
+        float(seen_from(Pose(*pose).compose(Pose(limits.centre, 0.0, 0.0)), fence).distance.min())
+        for message in said
+        if isinstance(message, Truth)
+        for pose in unpack_floats(message.poses, 3).tolist()
+    ]
+    assert min(gaps) >= limits.radius
+    assert "fence" in {message.guard for message in said if isinstance(message, Status)}
