@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,66 +75,72 @@ def _start_problems(scenario: Scenario) -> Iterator[str]:
 def _way_problems(path: str, leg: Leg, scenario: Scenario) -> Iterator[str]:
     """A robot whose place on a way is too near the fence for it; the one that is worst off."""
     way = way_of(leg)
-    looks = min(max(math.ceil(way.length_m / STEP_M), LEAST_LOOKS), MOST_LOOKS) if way.travel_s else 0
-    times = [way.travel_s * k / looks for k in range(looks + 1)] if looks else [0.0]
-    needs = _needs(scenario)
-    worst, told = 0.0, ""
-    for t_s in times:
-        middles, known = _middles(way, t_s, scenario)
+    looks = min(max(math.ceil(way.length_m / STEP_M), LEAST_LOOKS), MOST_LOOKS) if way.travel_s else 1
+    team = _team(scenario)
+    worst, told = 1e-9, ""
+    for k in range(looks + 1):
+        t_s = way.travel_s * k / looks
+        middles, known = _middles(way, t_s, team)
         left = inside_by(middles, scenario)
-        short = np.where(known, needs[1], needs[0]) - left
-        index = int(short.argmax())
-        if short[index] > max(worst, 1e-9):
-            worst, robot = float(short[index]), scenario.robots[index]
+        need = np.where(known, team.at_middle, team.at_place)
+        index = int((need - left).argmax())
+        if need[index] - left[index] > worst:
+            worst, robot = float(need[index] - left[index]), scenario.robots[index]
             x, y = middles[index].tolist()
-            need = (needs[1] if known[index] else needs[0])[index]
             told = (
                 f"{path}: leads {robot.id} out of guard.fence: after {t_s:.1f} s "
                 f"{'the middle of its circle' if known[index] else 'its place'}, [{x:.2f}, {y:.2f}], is "
-                f"{_place(float(left[index]))}; must be at least {need:.3g} m inside"
+                f"{_place(float(left[index]))}; must be at least {need[index]:.3g} m inside"
             )
     if told:
         yield told
 
 
-def _needs(scenario: Scenario) -> tuple[Floats, Floats]:
-    """How far inside its place, whatever its heading, and the middle of its circle have to be for each robot,
-    m; for any, the least of all, where it is not known who goes where."""
-    at_place, at_middle = [], []
-    for robot in scenario.robots:
-        ahead, radius = outline.circle(scenario.model_of(robot))
-        at_middle.append(radius + scenario.guard.margin_m)
-        at_place.append(at_middle[-1] - abs(robot.control_point_m - ahead))
-    if _unassigned(scenario):
-        at_place = [min(at_place)] * len(at_place)
-    return np.array(at_place), np.array(at_middle)
+class _Team(NamedTuple):
+    """Of n robots, what does not change on the way; lengths in m."""
+
+    places: Floats
+    """In the formation's frame, shape (n, 2)."""
+    behind: Floats
+    """From the control point back to the middle of the circle, shape (n,)."""
+    heads: NDArray[np.bool_]
+    """Whether the robot heads where its place goes: not where its heading is free, and not where it is
+    decided when the run begins who takes which place."""
+    at_middle: Floats
+    """How far inside the middle of the circle has to be, shape (n,)."""
+    at_place: Floats
+    """And the place, if the heading is not known; the least of all robots where any may take it."""
 
 
-def _middles(way: Way, t_s: float, scenario: Scenario) -> tuple[Floats, NDArray[np.bool_]]:
+def _team(scenario: Scenario) -> _Team:
+    models = [scenario.model_of(robot) for robot in scenario.robots]
+    circles = [outline.circle(model) for model in models]
+    points = [robot.control_point_m for robot in scenario.robots]
+    behind = np.array([point - ahead for point, (ahead, _) in zip(points, circles, strict=True)])
+    at_middle = np.array([radius + scenario.guard.margin_m for _, radius in circles])
+    at_place = at_middle - np.abs(behind)
+    assigned = scenario.planning.method == "given" and not scenario.planning.relabel
+    return _Team(
+        np.array(scenario.formation.points, dtype=np.float64),
+        behind,
+        np.array([assigned and model.drive != "omnidirectional" for model in models]),
+        at_middle,
+        at_place if assigned else np.full_like(at_place, at_place.min()),
+    )
+
+
+def _middles(way: Way, t_s: float, team: _Team) -> tuple[Floats, NDArray[np.bool_]]:
     """Where the middles of the robots' circles are when all are at their places, shape (n, 2), and of which
     that is known; of the others, whose heading is not, the places themselves."""
     frame, (vx, vy, turning) = way.at(t_s)
     c, s = math.cos(frame.psi), math.sin(frame.psi)
-    arms = np.array(scenario.formation.points) @ np.array([[c, s], [-s, c]])
+    arms = team.places @ np.array([[c, s], [-s, c]])
     velocity = np.array([vx, vy]) + turning * np.stack([-arms[:, 1], arms[:, 0]], axis=1)
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
-    models = [scenario.model_of(robot) for robot in scenario.robots]
-    steered = np.array([model.drive != "omnidirectional" for model in models])
-    known = steered & (speed > _STANDS_MPS) & (not _unassigned(scenario))
-    behind = np.array(
-        [
-            robot.control_point_m - outline.circle(model)[0]
-            for robot, model in zip(scenario.robots, models, strict=True)
-        ]
-    )
-    back = np.where(known, behind / np.maximum(speed, _STANDS_MPS), 0.0)
+    known = team.heads & (speed > _STANDS_MPS)
+    back = np.where(known, team.behind / np.maximum(speed, _STANDS_MPS), 0.0)
     middles: Floats = arms + np.array([frame.x, frame.y]) - back[:, None] * velocity
     return middles, known
-
-
-def _unassigned(scenario: Scenario) -> bool:
-    """Whether it is decided when the run begins who goes where."""
-    return scenario.planning.method != "given" or scenario.planning.relabel
 
 
 def inside_by(points: Floats, scenario: Scenario) -> Floats:
@@ -144,8 +151,11 @@ def inside_by(points: Floats, scenario: Scenario) -> Floats:
     share = (away * along).sum(axis=2) / (along * along).sum(axis=1)
     gaps = away - np.clip(share, 0.0, 1.0)[..., None] * along
     distance = np.hypot(gaps[..., 0], gaps[..., 1]).min(axis=1)
-    inside = [outline.inside(scenario.guard.fence, (x, y)) for x, y in points.tolist()]
-    return np.asarray(np.where(inside, distance, -distance))
+    north = starts[:, 1] > points[:, None, 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        east = away[..., 1] * along[:, 0] / along[:, 1] > away[..., 0]
+    crossings = np.count_nonzero((north != np.roll(north, -1, axis=1)) & east, axis=1)
+    return np.asarray(np.where(crossings % 2 == 1, distance, -distance))
 
 
 def _place(left: float) -> str:
