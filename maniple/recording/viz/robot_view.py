@@ -7,7 +7,7 @@ from typing import Any
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
-from maniple.core import topics
+from maniple.core import edges, topics
 from maniple.core.geometry import Pose
 from maniple.core.messages import Drive, Odometry, RobotReport, Scan, Status
 from maniple.core.scenario.types import Point, Robot, RobotModel
@@ -41,7 +41,7 @@ class RobotView:
         self.scan, self.points = scan_key(robot.id), points_key(robot.id)
         self.trajectory, self.numbers = trajectory_key(robot.id), robot_scalars_key(robot.id)
         self.origin = _NOWHERE if robot.pose is None else Pose(*robot.pose)
-        """Of its odometry frame in the world: its initial pose."""
+        """Of its own odometry frame in the world: its initial pose."""
         self.believed: Pose | None = None
         """Middle of the axle in the world, by dead reckoning."""
         self.true: Pose | None = None
@@ -76,7 +76,9 @@ class RobotView:
 
     def frame_of(self, odometry: Odometry) -> Pose | None:
         """Where the frame of its odometry is in the world; None where nobody knows."""
-        return self.origin if self._localised and odometry.frame_id == self._frame else None
+        if not self._localised or odometry.frame_id != self._frame:
+            return None
+        return _NOWHERE if odometry.frame_id == edges.WORLD else self.origin
 
     def on_odometry(self, odometry: Odometry, time: Time) -> None:
         """Its pose, if it is in the frame that is known, and its velocities."""

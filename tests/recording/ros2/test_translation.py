@@ -222,6 +222,16 @@ def test_a_robot_whose_frame_nobody_knows_has_no_frame() -> None:
     assert seen["/maniple/r3/pose"] == seen["/tf"] <= 10  # before the first status and mission
 
 
+def test_a_robot_that_knows_where_in_the_world_it_is_has_its_odometry_frame_there() -> None:
+    told = Odometry(source="r4", frame_id="world", x_m=3.0, y_m=-2.0, psi_rad=0.5, u_mps=0.0, w_radps=0.0)
+    tree = Tree()
+    for one in translation().see("robot/r4/odometry", told, VIRTUAL_EPOCH):
+        if one.topic.type == "tf2_msgs/msg/TFMessage":
+            tree.hear(one.message)
+    assert tree.parents["r4/odom"] == (WORLD, Pose(0.0, 0.0, 0.0))
+    assert tree.in_world("r4/base_link") == pytest.approx((3.0, -2.0, 0.5))
+
+
 def test_markers_are_what_viewers_draw_and_what_goes_is_deleted() -> None:
     """r2 stands by an emergency stop for two seconds, and has a ring then."""
     made, shown, most = translation(), dict[tuple[str, int], Any](), 0

@@ -145,6 +145,17 @@ def test_a_frame_that_nobody_knows_is_not_drawn() -> None:
     assert ns(last.transforms[0].timestamp) == 3 * SECOND
 
 
+def test_a_robot_that_knows_where_in_the_world_it_is_is_there() -> None:
+    told = Odometry(
+        source="r4", frame_id="world", x_m=3.0, y_m=-2.0, psi_rad=0.5, u_mps=0.0, w_radps=0.0, stamp_ns=1
+    )
+    pictures = tuple(draw(run().scenario, [Seen("robot/r4/odometry", told, SECOND)]))
+    frames = {one.child_frame_id: one for one in read("/viz/tf", FrameTransforms, pictures)[0][1].transforms}
+    here = frames["r4"]
+    assert (here.translation.x, here.translation.y) == (3.0, -2.0)
+    assert heading(here.rotation) == pytest.approx(0.5)
+
+
 def test_an_unlocalised_robot_stays_where_it_was_seen() -> None:
     told = Odometry(source="r1", frame_id="r1", x_m=1.0, y_m=0.0, psi_rad=0.0, u_mps=0.0, w_radps=0.0)
     status = Status(
