@@ -9,8 +9,17 @@ from tests.references.scenes import REFERENCES, Reference, check
 LARGEST, ALL = 150_000, 1_000_000
 """Bytes of one reference, and of all."""
 
+QUICK = ("paper-simulation-2", "chaos")
+"""Those that are compared every time: the paper's second, and one in which everything goes wrong."""
 
-@pytest.mark.parametrize("reference", REFERENCES, ids=lambda reference: reference.name)
+
+@pytest.mark.parametrize(
+    "reference",
+    [
+        pytest.param(one, id=one.name, marks=[] if one.name in QUICK else [pytest.mark.slow])
+        for one in REFERENCES
+    ],
+)
 def test_a_scene_runs_as_it_did(reference: Reference, tmp_path: Path) -> None:
     check(reference, tmp_path)
 

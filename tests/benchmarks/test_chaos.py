@@ -41,7 +41,7 @@ def faults_of(seed: int) -> tuple[str, ...]:
         return (f"{type(error).__name__}: {error}",)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(n, marks=pytest.mark.slow) for n in (3, 4))])
 def test_a_platoon_survives_a_few_plans(seed: int) -> None:
     assert faults_of(seed) == ()
 

@@ -55,6 +55,7 @@ def test_the_same_starts_give_the_same_tables(tiny: Study) -> None:
     assert tables(study(TINY, workers=1)) == tables(tiny)
 
 
+@pytest.mark.slow
 def test_more_starts_or_other_chunks_change_none(tiny: Study) -> None:
     few, later = converge(Case(6), 0, 4, 100.0), converge(Case(6), 4, 6, 100.0)
     whole = tiny.outcomes[Case(6)]

@@ -316,7 +316,7 @@ def test_a_contact_is_counted_and_fails_the_run(tmp_path: Path, command: Maniple
     assert touched == {contact}
 
 
-@pytest.mark.parametrize("robots", [3, 10, *(pytest.param(n, marks=pytest.mark.slow) for n in (50, 100))])
+@pytest.mark.parametrize("robots", [3, *(pytest.param(n, marks=pytest.mark.slow) for n in (10, 50, 100))])
 def test_scattered_starts_converge(tmp_path: Path, robots: int) -> None:
     result = run_virtual(platoon(robots, start={"scatter_m": 0.5}), tmp_path)
     assert result.ok
