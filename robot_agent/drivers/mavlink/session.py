@@ -74,7 +74,6 @@ _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
 _BODY_NED, _VELOCITY_AND_YAW_RATE = 8, 0x05E7
 _LOCAL_FRD, _BODY_FRD, _MOCAP, _GOOD = 20, 12, 6, 100
 _GCS, _NO_AUTOPILOT, _STATE_ACTIVE, _CUSTOM_MODE = 6, 8, 4, 1
-_FAILSAFES = ("GCS", "Radio", "EKF", "Crash", "Battery", "Failsafe", "Fence")
 _RANGING = frozenset({"DISTANCE_SENSOR", "OBSTACLE_DISTANCE"})
 
 
@@ -385,7 +384,7 @@ class Session:
         assert vehicle.heard is not None, "connected"
         if self._taken:
             armed = "armed" if vehicle.armed else "not armed"
-            said = vehicle.texts(now, _FAILSAFES)
+            said = vehicle.texts(now, "failsafe", "crash")
             why = f" ({'; '.join(said)})" if said else ""
             return (
                 f"{self._taken}: mode {vehicle.mode_name}, {armed}{why}; it is used again once it is given "
@@ -424,7 +423,7 @@ class Session:
         return f"no heartbeat of {who} yet" + (f"; heard: system {others}" if others else "")
 
     def _prearm(self, now: Time) -> str:
-        texts = [text.split(":", 1)[1].strip() for text in self.vehicle.texts(now, ("PreArm:", "Arm:"))]
+        texts = [text.split(":", 1)[1].strip() for text in self.vehicle.texts(now, "arm:")]
         return f"its pre-arm checks do not pass: {'; '.join(texts) or 'it has not said which'}"
 
     def _misplaced(self) -> str:
@@ -453,10 +452,21 @@ class Session:
             self._fail(f"nothing heard from it for {to_seconds(now - vehicle.heard):.1f} s", now)
         elif now - vehicle.beat > MISSED:
             self._fail(f"no heartbeat of it for {to_seconds(now - vehicle.beat):.1f} s", now)
-        elif self.state != "connected" and not vehicle.unlocalised(self._absolute, now, ESTIMATED):
-            since = vehicle.last.at if vehicle.last is not None else self._begun
-            if now - since > SILENT:
-                self._fail(f"it has said no position for {to_seconds(now - since):.1f} s", now)
+        elif vehicle.restarted:
+            self._fail("it was started anew", now)
+        elif self.state != "connected" and now - vehicle.heard < STALE and (gone := self._gone(now)):
+            self._fail(f"it no longer says {gone}", now)
+
+    def _gone(self, now: Time) -> str:
+        """What it was told to say, can say, and does not."""
+        vehicle = self.vehicle
+        if vehicle.silence("ATTITUDE", now) > SILENT:
+            return "its ATTITUDE"
+        if vehicle.silence("EKF_STATUS_REPORT", now) > ESTIMATED:
+            return "its EKF_STATUS_REPORT"
+        knows = not vehicle.unlocalised(self._absolute, now, ESTIMATED)
+        silent = vehicle.last is None or now - vehicle.last.at > SILENT
+        return "its LOCAL_POSITION_NED, with an ATTITUDE of the same time" if knows and silent else ""
 
     def _fail(self, why: str, now: Time) -> None:
         self.stop(now)
@@ -583,7 +593,7 @@ class Session:
             return f"waits for its heartbeat to show {what}"
         if now - answer.at > REFUSED:
             self._commands.forget(key, command)
-        texts = self.vehicle.texts(answer.at, ("PreArm:", "Arm:", "Mode ", "Flight mode"))
+        texts = self.vehicle.texts(now, "arm:", "mode", within=REFUSED)
         said = f" ({'; '.join(texts)})" if texts else ""
         self._refusal = answer.at, f"it refuses {what}: {answer.words}{said}"
         return self._refusal[1]

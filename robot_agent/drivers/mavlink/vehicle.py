@@ -31,6 +31,7 @@ _ATTITUDE, _VELOCITY, _POSITION_REL, _POSITION_ABS = 1, 2, 8, 16
 _CONSTANT, _UNINITIALISED = 128, 1024
 _MOST_M, _MOST_MPS, _MOST_RADPS = 1e6, 100.0, 100.0
 _MOST_PARAMETERS = 100
+_BACK_MS, _ON_MS, _STRANGE = 2000, 10_000, 2
 
 
 class Reckoned(NamedTuple):
@@ -43,6 +44,27 @@ class Reckoned(NamedTuple):
     v_east: float
     yaw: float
     yaw_rate: float
+
+
+class _Clock(NamedTuple):
+    """The vehicle's clock, as its attitudes tell it. A time that does not fit may be damaged; several that
+    fit each other are not."""
+
+    last_ms: int
+    strange_ms: int
+    strange: int
+
+
+def _went_on(clock: _Clock | None, time_ms: int) -> _Clock:
+    """The clock after the next time it told."""
+    if clock is None:
+        return _Clock(time_ms, time_ms, 0)
+    fits, again = (-_BACK_MS <= time_ms - ms <= _ON_MS for ms in (clock.last_ms, clock.strange_ms))
+    if fits and not (clock.strange and abs(time_ms - clock.strange_ms) < abs(time_ms - clock.last_ms)):
+        return _Clock(time_ms, time_ms, 0)
+    if again and clock.strange >= _STRANGE:
+        return _Clock(time_ms, time_ms, 0)
+    return clock._replace(strange_ms=time_ms, strange=clock.strange + 1 if again else 1)
 
 
 class Vehicle:
@@ -76,7 +98,10 @@ class Vehicle:
         self.satellites = 0
         self.battery = ""
         self.odd = 0
+        self.restarted = False
+        """Whether its clock began anew."""
         self._attitude: Any = None
+        self._clock: _Clock | None = None
         self._texts: deque[tuple[Time, str]] = deque(maxlen=20)
         self._chunks: tuple[int, str] = (0, "")
         self._arrivals: dict[str, deque[Time]] = {}
@@ -133,10 +158,15 @@ class Vehicle:
             return ""
         return f"its position estimate (EKF) does not have: {', '.join(missing)}{self._satellites()}"
 
-    def texts(self, now: Time, beginning: tuple[str, ...]) -> list[str]:
-        """What it said lately that begins so, each once, the newest last."""
-        kept = [text for at, text in self._texts if now - at <= TEXTS_KEPT and text.startswith(beginning)]
-        return list(dict.fromkeys(kept))
+    def texts(self, now: Time, *words: str, within: Duration = TEXTS_KEPT) -> list[str]:
+        """What it said lately with one of these words (small letters) in it, each once, the newest last."""
+        kept = [text for at, text in self._texts if now - at <= within]
+        return list(dict.fromkeys(text for text in kept if any(word in text.lower() for word in words)))
+
+    def silence(self, kind: str, now: Time) -> Duration:
+        """For how long it has not said one kind of message; since ever is for long."""
+        arrivals = self._arrivals.get(kind)
+        return now - arrivals[-1] if arrivals else now
 
     def rate(self, kind: str, now: Time) -> float:
         """How often a message comes, Hz, over the last 5 s."""
@@ -186,6 +216,8 @@ class Vehicle:
             self.odd += 1
             return
         self._attitude = message
+        before, self._clock = self._clock, _went_on(self._clock, message.time_boot_ms)
+        self.restarted |= before is not None and self._clock.last_ms < before.last_ms - _BACK_MS
 
     def _heard_position(self, message: Any, now: Time) -> None:
         position = message.x, message.y
