@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -74,13 +75,13 @@ def assert_small_errors(errors: Any, limit: float = 0.02) -> None:
     assert all(value is not None and value <= limit for value in values), errors
 
 
-def start(*arguments: object, **options: Any) -> subprocess.Popen[str]:
-    """The command, in a process of its own."""
+def start(*arguments: object, packages: Sequence[Path] = (), **options: Any) -> subprocess.Popen[str]:
+    """The command, in a process of its own that finds these folders' packages too."""
     return subprocess.Popen(
         [sys.executable, "-m", "maniple", *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, *packages)))},
         **options,
     )

@@ -19,6 +19,7 @@ import pytest
 import maniple
 from maniple.cli import realtime
 from maniple.core import codec, topics
+from maniple.core.edges import driver_of, scanner_of, vehicle_of
 from maniple.core.messages import Command, Decisions, FormationState, Motion, Truth, unpack_floats
 from maniple.core.time import SECOND, Time
 from maniple.host.clock import Anchor
@@ -52,6 +53,10 @@ class Run:
             command, *rest = arguments[arguments.index("maniple") + 1 :] if "maniple" in arguments else [""]
             if command in NODES:  # between fork and exec a child has its parent's arguments, or none
                 found[rest[0] if command == "agent" else command] = pid
+            elif command == "vehicle":
+                found[vehicle_of(rest[0])] = pid
+            elif command == "driver":
+                found[scanner_of(rest[1]) if "--scans" in rest else driver_of(rest[1])] = pid
         self.seen |= {pid: name for name, pid in found.items()}
         return found
 
