@@ -5,6 +5,7 @@ import typer
 from maniple.cli import (
     bridge_command,
     doctor_command,
+    driver_command,
     fault_command,
     goal_command,
     layer_commands,
@@ -51,6 +52,7 @@ for _name, _about in node_commands.COMMANDS.items():
         context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
     )(_pass_on)
 app.add_typer(bridge_command.app, name="bridge")
+app.add_typer(driver_command.app, name="driver")
 app.add_typer(fault_command.app, name="fault")
 app.add_typer(goal_command.app, name="goal")
 app.add_typer(layer_commands.app, name="layer")

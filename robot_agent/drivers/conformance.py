@@ -27,7 +27,7 @@ from maniple.core.scenario.types import Robot, Scenario
 from maniple.core.time import MILLISECOND, Duration, Time, from_seconds, to_seconds
 from robot_agent import dead_reckoning
 from robot_agent.dead_reckoning import Reckoning
-from robot_agent.drivers.interface import LIFE_CYCLE, Capabilities, Driver, DriverFactory, Step
+from robot_agent.drivers.interface import LIFE_CYCLE, Answering, Capabilities, Driver, DriverFactory, Step
 from robot_agent.drivers.keeper import WATCHDOG, Halt, Keeper, Take
 
 PERIOD: Duration = 10 * MILLISECOND
@@ -54,6 +54,9 @@ STAND_S = 6.0
 
 BLOCKED_S = 0.3
 """No call may take as long as what the watchdog waits for."""
+
+_LISTEN_S = 3.0
+"""To measure rates."""
 
 _AGAIN_S = 1.0
 """A step that is under way is asked for again after this."""
@@ -152,12 +155,13 @@ def check(
     moves: bool = True,
     patience_s: float = PATIENCE_S,
     properties: Sequence["Property"] = (),
+    told: Callable[[Finding], None] = lambda _: None,
 ) -> list[Finding]:
     """The properties of a driver, all or some of `PROPERTIES`, tried with the vehicle of `robot` (its id) in
     a resolved scenario; and what has to hold in every call.
 
     With `moves` the vehicle is driven: about 2 m ahead and back, in arcs. Without, it is never activated, and
-    never told another velocity than zero.
+    never told another velocity than zero. `told` hears of each finding at once.
 
     Raises:
         ScenarioError: the driver refuses the robot's parameters.
@@ -165,8 +169,72 @@ def check(
     chosen = next(one for one in scenario.robots if one.id == robot)
     factory(scenario, chosen, endpoint)
     suite = _Suite(lambda: factory(scenario, chosen, endpoint), scenario, chosen, rig, patience_s)
-    findings = [suite.tried(one, moves) for one in properties or PROPERTIES]
-    return findings + suite.always.findings()
+    findings = []
+    for finding in suite.findings(properties or PROPERTIES, moves):
+        told(finding)
+        findings.append(finding)
+    return findings
+
+
+class Look(NamedTuple):
+    """What a driver made of its vehicle, without moving it."""
+
+    state: DriverState
+    """How far it came; "configured" where all is well."""
+    reason: str
+    """Why no further, or why it is not controllable; empty where all is well."""
+    after_s: float
+    """How long that took."""
+    motion_hz: float
+    scan_hz: float
+    """How often it reported then."""
+    motion: Motion | None
+    """The last."""
+    answers: Mapping[str, str]
+    """What the vehicle said of itself."""
+
+
+def look(
+    factory: DriverFactory,
+    scenario: Scenario,
+    robot: str,
+    rig: Rig,
+    *,
+    endpoint: str = "",
+    patience_s: float = PATIENCE_S,
+) -> Look:
+    """Connect the driver of `robot` (its id) and configure it, listen for three seconds, and close it again.
+    It is not activated, and told no velocity.
+
+    Raises:
+        ManipleError: it can't be connected at all.
+    """
+    chosen = next(one for one in scenario.robots if one.id == robot)
+    suite = _Suite(lambda: factory(scenario, chosen, endpoint), scenario, chosen, rig, patience_s)
+    began, why = rig.now(), ""
+    with suite.bench() as bench:
+        try:
+            bench.ready()
+        except CounterexampleError as error:
+            why = f"{error}"
+        after_s = to_seconds(rig.now() - began)
+        bench.motions.clear()
+        bench.scans = 0
+        if not why:
+            bench.run(_LISTEN_S)
+        motion = bench.motions[-1][1] if bench.motions else None
+        if motion is not None and not motion.controllable:
+            why = motion.reason
+        driver = bench.driver
+        return Look(
+            driver.state,
+            why,
+            after_s,
+            len(bench.motions) / _LISTEN_S,
+            bench.scans / _LISTEN_S,
+            motion,
+            dict(driver.answers()) if isinstance(driver, Answering) else {},
+        )
 
 
 class _Always:
@@ -429,6 +497,12 @@ class _Suite:
         self._v = min(U_MPS, 0.5 * self.able.v_max_mps)
         self._scans = self.able.scan_hz > 0.0 and robot.scans in ("", robot.driver)
 
+    def findings(self, properties: Sequence["Property"], moves: bool) -> Iterator[Finding]:
+        """What becomes of them, one after the other; then of what has to hold in every call."""
+        for one in properties:
+            yield self.tried(one, moves)
+        yield from self.always.findings()
+
     def tried(self, one: "Property", moves: bool) -> Finding:
         """Whether it holds."""
         if one.moves and not moves:
@@ -520,14 +594,13 @@ class _Suite:
             bench.ready()
             bench.motions.clear()
             bench.scans = 0
-            seconds = 3.0
-            bench.run(seconds)
+            bench.run(_LISTEN_S)
             for what, count, hz in (
                 ("motion", len(bench.motions), self.able.motion_hz),
                 ("scan", bench.scans, self.able.scan_hz if self._scans else 0.0),
             ):
-                if hz and not 0.5 * hz <= count / seconds <= 1.5 * hz:
-                    raise CounterexampleError(f"{what}: {count / seconds:.1f} /s; it promises {hz:g}")
+                if hz and not 0.5 * hz <= count / _LISTEN_S <= 1.5 * hz:
+                    raise CounterexampleError(f"{what}: {count / _LISTEN_S:.1f} /s; it promises {hz:g}")
 
     def any_state(self) -> None:
         """`stop` and `see`, wherever it is in its life."""
