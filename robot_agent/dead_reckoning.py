@@ -46,6 +46,8 @@ class Reckoning(NamedTuple):
     """When they were taken, by the driver's clock."""
     reported: Pose | None = None
     """Instead of counts: the last pose that the drive reported, in its own frame."""
+    origin: tuple[int, int] | None = None
+    """Which frame that was: the life of the driver, and `Motion.origin`; None where it does not tell."""
 
 
 class Gauge(NamedTuple):
@@ -134,9 +136,24 @@ def follow(
     return Reckoning(pose, velocity, None, stamp, reported), jumped
 
 
+def begun_anew(gauge: Gauge, state: Reckoning) -> Reckoning:
+    """The state of a robot whose driver may count from a new origin, where it does not tell that itself."""
+    keeps = gauge.in_world or state.origin is not None
+    return state._replace(ticks=None, reported=state.reported if keeps else None)
+
+
+def origin_of(incarnation: int, origin: int | None) -> tuple[int, int] | None:
+    """Which frame a pose is in, that a life of a driver reported."""
+    return None if origin is None else (incarnation, origin)
+
+
 def advance(gauge: Gauge, state: Reckoning, motion: Motion, stamp: Time) -> tuple[Reckoning, bool]:
     """The state after what a drive reported at `stamp`, by its pose or else by its counts, and whether they
     jumped."""
     if motion.pose is None:
         return step(gauge.wheels, state, motion.ticks, stamp)
-    return follow(gauge, state, Pose(*motion.pose), Velocity(*motion.twist), stamp)
+    origin = origin_of(motion.incarnation, motion.origin)
+    if origin != state.origin and not gauge.in_world:
+        state = state._replace(reported=None)
+    after, jumped = follow(gauge, state, Pose(*motion.pose), Velocity(*motion.twist), stamp)
+    return after._replace(origin=origin), jumped

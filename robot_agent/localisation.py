@@ -69,7 +69,8 @@ class Localisation:
         last = dead_reckoning.Reckoning(pose, stamp=former.stamp_ns)
         if motion.incarnation == former.motion_incarnation:
             if motion.pose is not None and former.motion_pose is not None:
-                last = last._replace(reported=Pose(*former.motion_pose))
+                origin = dead_reckoning.origin_of(former.motion_incarnation, former.motion_origin)
+                last = last._replace(reported=Pose(*former.motion_pose), origin=origin)
             elif motion.pose is None and len(former.ticks) == len(motion.ticks):
                 last = last._replace(ticks=former.ticks)
         self.known = True

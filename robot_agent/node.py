@@ -174,8 +174,8 @@ class RobotAgent:
         return self._told(_STANDING, False), self._report(now)
 
     def _on_motion(self, motion: Motion, now: Time) -> Sequence[Outgoing]:
-        """Advance the dead reckoning. A driver that lives or was set up anew counts from a new origin; one
-        that knows neither counts nor a pose yet only tells how it is."""
+        """Advance the dead reckoning. A driver that lives or was set up anew counts from a new origin, unless
+        it says itself when it does; one that knows neither counts nor a pose yet only tells how it is."""
         if (refusal := self._refusal(motion)) is not None:
             self._counted[f"refused_{refusal}"] += 1
             return ()
@@ -183,7 +183,7 @@ class RobotAgent:
         if old is not None and not (
             motion.incarnation == old.incarnation and COUNTS[old.state] and COUNTS[motion.state]
         ):
-            before = before._replace(ticks=None, reported=before.reported if self._gauge.in_world else None)
+            before = dead_reckoning.begun_anew(self._gauge, before)
         self._motion, self._motion_at, self._reckoning = motion, now, before
         self._lost = self._lost or self._driver_event(now) == "driver_lost"
         if not motion.ticks and motion.pose is None:
@@ -209,6 +209,7 @@ class RobotAgent:
             ticks=motion.ticks if motion.pose is None else (),
             motion_pose=motion.pose,
             motion_incarnation=motion.incarnation,
+            motion_origin=motion.origin,
         )
         return (*resumed, Outgoing(self._odometry, odometry))
 

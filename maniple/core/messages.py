@@ -85,6 +85,8 @@ class Odometry(Message, frozen=True, kw_only=True, gc=False):
     """Instead of `ticks`: the pose (m, m, rad) that the driver reported, in the driver's own frame."""
     motion_incarnation: int = 0
     """The life of the driver that counted them."""
+    motion_origin: int | None = None
+    """And `Motion.origin`."""
 
 
 class Scan(Message, frozen=True, kw_only=True, gc=False):
@@ -369,6 +371,11 @@ class Motion(Message, frozen=True, kw_only=True, gc=False):
     capabilities name, of the same point as for the model."""
     twist: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """With `pose`: (u m/s, w rad/s, v m/s) as the drive measures them."""
+    origin: Count | None = None
+    """With `pose`: how often its frame began anew in this life of the driver. While that stays the same,
+    poses go on from those before, whatever state the driver was in meanwhile (a vehicle rolls on while its
+    link is cut). None, where the driver can't tell: they begin anew whenever the hardware is configured anew.
+    """
 
 
 class ExternalPose(Message, frozen=True, kw_only=True, gc=False):

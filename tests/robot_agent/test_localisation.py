@@ -122,3 +122,11 @@ def test_in_the_world_every_life_knows_where_it_is() -> None:
     frame.heard(last_word())
     frame.counted(report((5.0, 5.0, 0.0)), T0)
     assert (frame.known, frame.frame_id, frame.resume(T0)) == (True, "world", None)
+
+
+@pytest.mark.parametrize(("origin", "went"), [(3, 0.5), (4, 0.0)])
+def test_a_frame_of_the_driver_that_began_anew_meanwhile_tells_nothing(origin: int, went: float) -> None:
+    frame = Localisation("r1", 2, GAUGE)
+    frame.heard(last_word(ticks=(), motion_pose=(50.0, 60.0, 0.0), motion_origin=3))
+    frame.counted(replace(report((50.5, 60.0, 0.0)), origin=origin), T0)
+    assert frame.resume(T0) == pytest.approx(Pose(1.0, 2.0, 0.5).compose(Pose(went, 0.0, 0.0)))

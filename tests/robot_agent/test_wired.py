@@ -179,6 +179,26 @@ def test_a_driver_that_begins_anew_has_a_new_origin(make_scenario: Make, between
     assert "pose_jumps" not in cell.status.counters
 
 
+def test_a_driver_that_tells_when_its_frame_begins_anew_is_believed(make_scenario: Make) -> None:
+    """The vehicle rolled on for 0.6 m while its link was cut, and later was switched off and on."""
+    cell = Cell(make_scenario)
+    cell.report((50.0, 0.0, 0.0), origin=0)
+    for state in ("fault", "closed", "connected"):
+        cell.now += SECOND
+        cell.report(None, state=state, controllable=False)
+    cell.now += SECOND
+    odometry = only(Odometry, cell.report((50.6, 0.0, 0.0), origin=0))
+    assert odometry.x_m == pytest.approx(0.6)
+    assert odometry.motion_origin == 0
+    cell.now += TICK
+    odometry = only(Odometry, cell.report((50.65, 0.0, 0.0), origin=1))
+    assert odometry.x_m == pytest.approx(0.6)
+    assert odometry.motion_origin == 1
+    cell.now += TICK
+    assert only(Odometry, cell.report((50.65, 0.0, 0.0), origin=1, incarnation=2)).x_m == pytest.approx(0.6)
+    assert cell.status.counters == {}
+
+
 def test_what_only_tells_the_state_is_no_odometry_and_no_mistake(make_scenario: Make) -> None:
     cell = Cell(make_scenario)
     assert cell.report(None, state="connected", controllable=False, reason="no EKF origin yet") == ()
