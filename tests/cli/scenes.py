@@ -50,6 +50,12 @@ def platoon(robots: int, **changes: Any) -> Scenario:
     return msgspec.convert(table | changes, Scenario)
 
 
+def wired(scenario: Scenario, **fields: dict[str, Any]) -> Scenario:
+    """The same with other fields of some robots, by id: another driver, for instance."""
+    robots = tuple(msgspec.structs.replace(robot, **fields.get(robot.id, {})) for robot in scenario.robots)
+    return msgspec.structs.replace(scenario, robots=robots)
+
+
 def truths(log: Path | str) -> list[Truth]:
     return [message for _, message in read(log).decoded(Truth)]
 

@@ -15,7 +15,7 @@ from maniple.core.faults import plan_of
 from maniple.core.time import SECOND, Time, from_seconds
 from maniple.host.clock import Anchor
 from maniple.host.liveness import Life
-from tests.cli.scenes import platoon
+from tests.cli.scenes import platoon, wired
 
 
 class Fake:
@@ -61,12 +61,13 @@ class Run:
         monkeypatch: pytest.MonkeyPatch,
         robots: int = 4,
         keep_alive: bool = False,
+        drivers: dict[str, dict[str, Any]] | None = None,
         **changes: Any,
     ) -> None:
         monkeypatch.setattr(crew_module, "Child", Fake)
         monkeypatch.setattr(crew_module, "LOOK_S", 0.0)
         monkeypatch.setattr("maniple.cli.upkeep.FIRST_S", 0.0)
-        scenario = completed(platoon(robots, **changes))
+        scenario = completed(wired(platoon(robots, **changes), **(drivers or {})))
         self.said: list[str] = []
         self.clock = Clock(epoch_ns=0, monotonic_ns=0)
         self.log = tmp_path / "run.mcap"
@@ -91,6 +92,56 @@ class Run:
         self.crew.look_for_frozen()
         said, self.said[:] = list(self.said), []
         return said
+
+
+PRESENTED = {"r2": {"driver": "mavlink", "presents": "mavlink"}}
+
+
+@pytest.mark.parametrize("name", ["r2", "r2-driver", "r2-vehicle"])
+def test_a_robot_is_lost_with_what_drives_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    run = Run(tmp_path, monkeypatch, drivers=PRESENTED)
+    assert run.at(1.0, name) == [f"{name} died; 3 robots go on"]
+    assert run.crew.troubles() == {name: "dead"}
+    others = {"r2", "r2-driver", "r2-vehicle"} - {name}
+    assert run.at(2.0, *others) == [f"{other} died; 3 robots go on" for other in sorted(others)]
+    with pytest.raises(RunError, match="r3 died; 2 robots go on"):
+        run.at(3.0, "r3")
+
+
+def test_a_driver_is_kept_alive_a_vehicle_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for what the plan says of it: that is no death of hardware."""
+    crash = {"node": "r2-vehicle", "at_s": 1.0, "restart_after_s": 2.0}
+    run = Run(tmp_path, monkeypatch, keep_alive=True, drivers=PRESENTED, crashes=[crash])
+    killed = "r2-vehicle died, as the fault plan says; 3 robots go on, 1 will be back"
+    assert run.at(1.0, "r2-vehicle") == [killed]
+    assert run.at(3.0) == ["r2-vehicle is started again (incarnation 2)"]
+    assert run.at(4.0, "r2-driver") == [
+        "r2-driver died; 3 robots go on, 1 will be back",
+        "r2-driver is started again (incarnation 2)",
+    ]
+    assert run.child("r2-driver").process.arguments[:3] == ("driver", "run", "r2")
+    assert run.at(5.0, "r2-vehicle") == ["r2-vehicle died; 3 robots go on"]
+    assert run.at(60.0) == []
+
+
+def test_a_driver_that_somebody_else_brought_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = Run(tmp_path, monkeypatch, drivers=PRESENTED)
+    run.at(1.0, "r2-driver")
+    run.crew.meet(Life("r2-driver", 2, True))
+    assert run.at(2.0, "r3") == ["r2-driver is back (incarnation 2)", "r3 died; 3 robots go on"]
+
+
+def test_what_drivers_and_vehicles_say_is_passed_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = Run(tmp_path, monkeypatch, drivers=PRESENTED)
+    run.child("r2-driver").said = ("r2-driver: the driver failed: no route to host",)
+    run.child("r2-vehicle").said = ("a pilot took over",)
+    run.crew.pass_on()
+    assert run.said == [
+        "r2-vehicle: a pilot took over",
+        "r2-driver: the driver failed: no route to host",
+    ]
 
 
 @pytest.fixture

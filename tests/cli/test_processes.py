@@ -12,8 +12,9 @@ import pytest
 
 from maniple.cli.loading import completed
 from maniple.cli.processes import Child, Process, finish_all, stop_order, table
+from maniple.cli.realtime import STOP_WITHIN_S
 from maniple.core.errors import RunError
-from tests.cli.scenes import ROOT, platoon
+from tests.cli.scenes import ROOT, platoon, wired
 from tests.waiting import eventually, runs
 
 SCENARIO = b'{"name": "x"}'
@@ -53,6 +54,36 @@ def test_everybody_is_stopped_once_the_recorder_after_all_it_records() -> None:
     assert sorted(order) == sorted(started)
     assert order[-2:] == ["recorder", "router"]
     assert order.index("controller") < order.index("r1") < order.index("simulator")
+
+
+def test_drivers_come_before_agents_and_after_their_vehicles_and_go_the_other_way_round() -> None:
+    presented = {"driver": "mavlink", "presents": "mavlink"}
+    scenario = completed(wired(platoon(3), r1={"scans": "ros2"}, r2=presented, r3={"driver": "ros2"}))
+    stages = table(scenario, "c", "a", "l")
+    assert [[process.name for process in stage] for stage in stages[2:]] == [
+        ["simulator", "r2-vehicle"],
+        ["r2-driver", "r3-driver", "r1-scanner"],
+        ["r1", "r2", "r3", "controller"],
+    ]
+    by_name = {process.name: process.arguments for stage in stages for process in stage}
+    assert by_name["r2-vehicle"][:2] == ("vehicle", "r2")
+    assert by_name["r3-driver"][:3] == ("driver", "run", "r3")
+    assert by_name["r1-scanner"][:4] == ("driver", "run", "r1", "--scans")
+    order = stop_order(scenario)
+    assert list(order) == ["controller", "agents", "drivers", "vehicles", "simulator", "recorder", "router"]
+    assert sorted(name for names in order.values() for name in names) == sorted(by_name)
+    assert set(order) == set(STOP_WITHIN_S)
+
+
+def test_where_no_robot_has_a_body_there_is_no_simulator() -> None:
+    scenario = completed(wired(platoon(3), **{f"r{k}": {"driver": "ros2"} for k in (1, 2, 3)}))
+    stages = table(scenario, "c", "a", "l")
+    assert [[process.name for process in stage] for stage in stages[2:]] == [
+        ["r1-driver", "r2-driver", "r3-driver"],
+        ["r1", "r2", "r3", "controller"],
+    ]
+    assert "simulator" not in stop_order(scenario)
+    assert "vehicles" not in stop_order(scenario)
 
 
 def test_a_child_is_given_the_scenario_and_is_heard() -> None:

@@ -168,6 +168,22 @@ def test_a_sound_plan_has_no_problems() -> None:
     assert plan_problems(plan, ["r1", "r2", "r3"]) == []
 
 
+def test_drivers_and_vehicles_can_die_and_freeze_where_there_are_any(data: Data) -> None:
+    (message,) = checked(data, "crashes=[{node='r1-driver', at_s=1.0}]")
+    assert message == "crashes[0].node = 'r1-driver': must be one of controller, recorder, router, r1, r2, r3"
+    plan = FaultPlan(
+        since_ns=0,
+        crashes=(Crash(node="r1-driver", at_s=1.0),),
+        freezes=(Freeze(node="r1-vehicle", at_s=1.0, for_s=2.0),),
+    )
+    assert plan_problems(plan, ["r1", "r2", "r3"], beside=["r1-vehicle", "r1-driver"]) == []
+    partition = Partition(groups=(("r1-driver",), ("r1",)))
+    (first, *_) = plan_problems(
+        FaultPlan(since_ns=0, partitions=(partition,)), ["r1", "r2", "r3"], beside=["r1-driver"]
+    )
+    assert first.startswith("partitions[0].groups[0] = 'r1-driver': matches nothing")
+
+
 def test_a_group_of_unknown_nodes_is_one_problem(data: Data) -> None:
     (message,) = checked(data, "partitions=[{groups=[['r9']]}]")
     assert message.startswith("partitions[0].groups[0] = 'r9': matches nothing")
