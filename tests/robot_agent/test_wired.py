@@ -25,6 +25,7 @@ from maniple.core.messages import (
 from maniple.core.node import Outgoing, Received
 from maniple.core.scenario.parse import digest_of, to_json
 from maniple.core.scenario.types import Guard, Placement, Robot, Scenario
+from maniple.core.streams import stream
 from maniple.core.time import MILLISECOND, SECOND
 from robot_agent.drivers.interface import Capabilities
 from robot_agent.node import DRIVE, STATUS, RobotAgent
@@ -401,3 +402,49 @@ def test_who_does_not_know_where_it_is_stands_where_there_is_a_fence(make_scenar
             drive = cell.due()
         assert (drive.u_mps > 0.0) == moves
         assert (cell.status.guard == "fence") == (not moves)
+
+
+@pytest.mark.parametrize("frame", ["r1", WORLD])
+@pytest.mark.parametrize("seed", range(3))
+def test_whatever_a_driver_says_it_stands_where_it_may_not_move(
+    make_scenario: Make, frame: str, seed: int
+) -> None:
+    """Reports of every kind in any order: finite odometry, nothing beyond the limits, and zero without a
+    drive that is active and controllable."""
+    random = stream(seed, f"wired/{frame}")
+    cell = Cell(make_scenario, frame, FENCED)
+    told = Drive(u_mps=0.0, w_radps=0.0, active=True)
+    moved = 0
+    for _ in range(600):
+        wild = random.random() < 0.1
+        x, y, psi = random.normal(2.0, 1e3 if wild else 0.01, 3).tolist()
+        pose = None if random.random() < 0.05 else (x, y, psi)
+        state = str(random.choice(["active"] * 12 + ["closed", "connected", "configured", "fault"]))
+        controllable = bool(random.random() < 0.95)
+        twist = tuple(random.normal(0.0, 1e3 if wild else 0.1, 3).tolist())
+        cell.now += int(random.choice([TICK, TICK, TICK, 0, 12 * TICK]))
+        said = cell.report(
+            pose,
+            ticks=() if pose or random.random() < 0.5 else (int(random.integers(0, 2**40)), 5),
+            state=state,
+            controllable=controllable,
+            twist=twist,
+            incarnation=int(random.choice([1, 1, 1, 1, 2])),
+            origin=(None, 1, 1, 2)[int(random.integers(4))],
+            stamp_ns=cell.now + int(random.choice([0, 0, -SECOND, SECOND])),
+        )
+        for _, message in said:
+            if isinstance(message, Odometry):
+                values = (message.x_m, message.y_m, message.psi_rad, message.u_mps, message.w_radps)
+                assert all(map(math.isfinite, values))
+        if random.random() < 0.8:
+            cell.command(*random.choice([-1.0, 0.3, 1e300], 2).tolist())
+        before, told = told, cell.due()
+        assert abs(told.u_mps) <= 0.6
+        assert abs(told.w_radps) <= 1.0
+        assert abs(told.u_mps) <= abs(before.u_mps) + 0.3 * 0.05 * 13
+        status = cell.status
+        moved += told.u_mps != 0.0
+        if not status.controllable or status.driver != "active":
+            assert (told.u_mps, told.w_radps) == (0.0, 0.0)
+    assert moved > 5
