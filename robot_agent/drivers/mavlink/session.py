@@ -366,8 +366,7 @@ class Session:
         elif now - self._still_since > MOVES_WITHIN and not self._stuck:
             self._stuck = (
                 f"it was told to drive for {to_seconds(MOVES_WITHIN):g} s and does not move (a safety "
-                "switch, its motors); it is used again once a pilot has put it into HOLD and back into "
-                "GUIDED, armed"
+                "switch, its motors); it has to be put into HOLD and back into GUIDED, armed"
             )
             self._away, self._still_since = False, None
 
@@ -386,14 +385,12 @@ class Session:
             armed = "armed" if vehicle.armed else "not armed"
             said = vehicle.texts(now, "failsafe", "crash")
             why = f" ({'; '.join(said)})" if said else ""
-            return (
-                f"{self._taken}: mode {vehicle.mode_name}, {armed}{why}; it is used again once it is given "
-                "back: GUIDED, armed"
-            )
+            now_in = f"mode {vehicle.mode_name}, {armed}{why}"
+            return f"{self._taken}: {now_in}; it has to be given back in GUIDED, armed"
         if self._stuck:
             return self._stuck
         if now - vehicle.heard > STALE:
-            return f"nothing heard from it for {to_seconds(now - vehicle.heard):.1f} s"
+            return "nothing is heard from it"
         if refused := parameters.refused(vehicle.parameters, self._needs):
             return refused
         if self.state == "connected":
@@ -449,9 +446,9 @@ class Session:
         assert vehicle.heard is not None, "connected"
         assert vehicle.beat is not None, "connected"
         if now - vehicle.heard > SILENT:
-            self._fail(f"nothing heard from it for {to_seconds(now - vehicle.heard):.1f} s", now)
+            self._fail(f"nothing was heard from it for {to_seconds(SILENT):g} s", now)
         elif now - vehicle.beat > MISSED:
-            self._fail(f"no heartbeat of it for {to_seconds(now - vehicle.beat):.1f} s", now)
+            self._fail(f"no heartbeat of it for {to_seconds(MISSED):g} s", now)
         elif vehicle.restarted:
             self._fail("it was started anew", now)
         elif self.state != "connected" and now - vehicle.heard < STALE and (gone := self._gone(now)):

@@ -138,8 +138,7 @@ class Vehicle:
         if self.estimated is None:
             return "it has not said how its position estimate is (EKF_STATUS_REPORT)"
         if now - self.estimated > within:
-            silent_s = to_seconds(now - self.estimated)
-            return f"it has not said for {silent_s:.1f} s how its position estimate is"
+            return "it no longer says how its position estimate is (EKF_STATUS_REPORT)"
         flags = self.estimates
         missing = [
             name
