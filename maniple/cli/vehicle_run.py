@@ -5,7 +5,6 @@ from typing import Any
 from maniple.cli.node_commands import joined, robot_named, run_host, scenario_given
 from maniple.core import edges
 from maniple.core.errors import ScenarioError
-from maniple.host.fate import say
 from simulator.vehicles import vehicle_of
 from simulator.vehicles.process import VehicleHost
 
@@ -30,6 +29,3 @@ def run(robot: str, scenario: str, **options: Any) -> None:
         life, clock, fleet, hardware = place
         host = VehicleHost(vehicle, robot, life, resolved, clock, fleet, hardware)
         run_host(name, host, fleet, watch)
-    if host.refused:
-        counts = ", ".join(f"{number} {why}" for why, number in sorted(host.refused.items()))
-        say(f"{name}: refused: {counts}")

@@ -15,9 +15,10 @@ from maniple.core.messages import Drive, Motion, Scan
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import Time, period
 from maniple.host.clock import Anchor
-from maniple.host.inbox import Arrived, Inbox, Item, Stop, Unfit
+from maniple.host.edge import Membership
+from maniple.host.fate import Meet, meet
+from maniple.host.inbox import Arrived, Inbox, Item, Stop
 from maniple.host.inlets import Inlets
-from maniple.host.liveness import Life
 from maniple.host.stamper import Stamper
 from maniple.transport.zenoh import ZenohSession
 from simulator.vehicles.interface import STEP, Vehicle
@@ -37,22 +38,25 @@ class VehicleHost:
         clock: Anchor,
         fleet: ZenohSession,
         hardware: ZenohSession,
+        meet: Meet = meet,
     ) -> None:
         self._vehicle = vehicle
         self._name = vehicle_of(robot)
-        self._incarnation = incarnation
         self._clock = clock
-        self._fleet, self._hardware = fleet, hardware
+        self._hardware = hardware
         self._topic = topics.simulated_drive(robot)
         self._sources = (topics.simulated_motion(robot), topics.simulated_scan(robot))
         self._again = period(scenario.rates.drive_hz)
         self._stamper = Stamper(self._name, incarnation)
         self._inlets = Inlets(scenario.rates)
         self._inbox = Inbox()
-        self._newer = 0
+        self._member = Membership(self._name, incarnation, scenario, clock, fleet, self._inbox, meet)
         self._order, self._sent = _STAND, -(2**62)
-        self.refused: Counter[str] = Counter()
+
+    @property
+    def refused(self) -> Counter[str]:
         """What arrived and was not taken in, by reason; "over its protocol" is the vehicle's own count."""
+        return self._member.refused
 
     def stop(self) -> None:
         """Make `run` end; safe from a signal handler and from any thread."""
@@ -65,14 +69,13 @@ class VehicleHost:
             ManipleError: the vehicle can't be switched on.
             RunError: it failed, or a newer life of it has taken over.
         """
-        self._fleet.watch(self._inbox.life)
+        self._member.listen()
         for source in self._sources:
             self._hardware.subscribe(source, self._inbox.arrived, self._inbox.unfit, topics.has_known_senders)
-        for session in (self._fleet, self._hardware):
-            session.settle()
+        self._hardware.settle()
         try:
             self._vehicle.open(self._clock.now())
-            self._fleet.announce(self._name, self._incarnation)
+            self._member.announce()
             self._go()
         except ManipleError:
             raise
@@ -84,12 +87,9 @@ class VehicleHost:
             self._send(_STAND, now)
             if refused := self._vehicle.refused:
                 self.refused["over its protocol"] = refused
+            self._member.tell()
             self._vehicle.close(now)
-        if self._newer:
-            raise RunError(
-                f"{self._name} (incarnation {self._incarnation}) steps back: "
-                f"incarnation {self._newer} has taken over"
-            )
+        self._member.require_newest()
 
     def _go(self) -> None:
         due = self._clock.now()
@@ -97,6 +97,7 @@ class VehicleHost:
             for item in self._inbox.take(self._clock.wall_seconds(due - self._clock.now())):
                 if not self._take(item):
                     return
+            self._member.act()
             now = self._clock.now()
             if now >= due:
                 order = self._vehicle.step(now)
@@ -106,16 +107,11 @@ class VehicleHost:
 
     def _take(self, item: Item) -> bool:
         """Deal with what arrived; whether to go on."""
-        if isinstance(item, Arrived):
-            self._arrived(item)
-        elif isinstance(item, Unfit):
-            self.refused[item.reason] += 1
-        elif isinstance(item, Life):
-            if item.node == self._name and item.alive and item.incarnation > self._incarnation:
-                self._newer = item.incarnation
-        elif isinstance(item, Stop):
+        if isinstance(item, Stop):
             return False
-        return not self._newer
+        if not self._member.take(item) and isinstance(item, Arrived):
+            self._arrived(item)
+        return not self._member.is_over
 
     def _arrived(self, item: Arrived) -> None:
         now = self._clock.now()
