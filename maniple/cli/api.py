@@ -41,12 +41,13 @@ class Result(msgspec.Struct, frozen=True):
     """Simulated time over wall time."""
     completed: bool
     """Whether the task's end was reached."""
-    collisions: int
-    """Onsets of contact, ground truth."""
+    collisions: int | None
+    """Onsets of contact, ground truth; None without any."""
     min_clearance_m: float | None
-    """Smallest distance from a robot's outline to anything, ground truth."""
+    """Smallest distance from a robot's outline to anything, likewise."""
     final_error: Errors
-    """Ground truth against the desired formation, mean of the last second."""
+    """Ground truth against the desired formation, mean of the last second, over the triangles of which every
+    robot has ground truth."""
     peak_error: Errors
     estimated_final_error: Errors
     """The final error as the controller sees it."""
@@ -59,6 +60,8 @@ class Result(msgspec.Struct, frozen=True):
     """Robots that the controller ever gave up as lost."""
     odometry_drift_m: float | None = None
     """Largest distance, at the end, from where a control point is to where dead reckoning puts it."""
+    without_truth: list[str] = []
+    """Robots that no ground truth tells of: collisions, clearance and true errors are of the others."""
     unrecorded: int = 0
     """Messages that the recording lacks, by their sequence numbers."""
     logs: list[str] = []
@@ -69,8 +72,8 @@ class Result(msgspec.Struct, frozen=True):
 
     @property
     def ok(self) -> bool:
-        """Whether the task was completed without a collision."""
-        return self.completed and self.collisions == 0
+        """Whether the task was completed without a collision that is known of."""
+        return self.completed and not self.collisions
 
 
 def run(

@@ -129,11 +129,16 @@ def run(
 
 
 def _summary(result: Result) -> Table:
-    clearance = "-" if result.min_clearance_m is None else f"{result.min_clearance_m:.3f} m"
+    nearest = result.min_clearance_m
+    clearance = "no ground truth" if nearest is None else f"{nearest:.3f} m"
+    if nearest is not None and result.without_truth:
+        clearance += f" (no ground truth of {', '.join(result.without_truth)})"
     outcome = "completed" if result.completed else "interrupted" if result.interrupted else "not completed"
     if result.collisions:
         outcome += f", {result.collisions} collisions"
-    if result.completed and (off := result.final_error.out_of_formation_m):
+    seen = result.estimated_final_error
+    end = seen if result.final_error.position_m is None else result.final_error
+    if result.completed and (off := end.out_of_formation_m):
         outcome += f", {off:.1f} m off its formation"
     counts = result.messages
     table = Table(box=None, show_header=False, padding=(0, 2))
@@ -146,6 +151,8 @@ def _summary(result: Result) -> Table:
     table.add_row("closest to anything", clearance)
     for name, errors in (("peak error", result.peak_error), ("final error", result.final_error)):
         table.add_row(name, _errors(errors))
+    if end is seen:
+        table.add_row("as the controller sees it", _errors(seen))
     if result.odometry_drift_m is not None and result.odometry_drift_m >= 0.001:
         table.add_row("odometry", f"off by {result.odometry_drift_m:.3f} m at the end")
     if result.lost_robots:
@@ -166,7 +173,7 @@ def _summary(result: Result) -> Table:
 
 def _errors(errors: Errors) -> str:
     if errors.position_m is None:
-        return "-"
+        return "not known"
     return (
         f"{errors.position_m:.3f} m, {errors.orientation_rad:.3f} rad (pose), "
         f"{errors.distance_m:.3f} m, {errors.angle_rad:.3f} rad (shape)"

@@ -116,6 +116,11 @@ def notes(series: Series, info: Info) -> list[str]:
             "There is no ground truth: poses are what the robots believe, and true errors, clearances and "
             "collisions are not known."
         )
+    elif without := series.figures.without_truth:
+        found.append(
+            f"There is no ground truth of {', '.join(without)}: poses are what the robots believe, and true "
+            "errors, clearances and collisions are those of the others."
+        )
     if lost := series.figures.lost_robots:
         found.append(f"Given up as lost at some time: {', '.join(lost)}.")
     return found
@@ -150,7 +155,7 @@ def _merit(series: Series) -> str:
     facts = {
         "duration": f"{figures.duration_s:.1f} s",
         "smallest clearance": _number(figures.min_clearance_m, "m"),
-        "collisions": str(figures.collisions) if series.true else "not known",
+        "collisions": "not known" if figures.collisions is None else str(figures.collisions),
         "odometry drift at the end": _number(figures.odometry_drift_m, "m"),
         "command age": f"{age.p50:.0f} ms median, {age.p99:.0f} ms at the 99th percentile"
         if age.p50 is not None and age.p99 is not None

@@ -96,7 +96,8 @@ def velocities(series: Series) -> Figure | None:
     robots = [robot for robot in series.robots if len(robot.commanded.t) or len(robot.real.t)]
     if not robots:
         return None
-    word = "real" if series.true else "measured"
+    kinds = dict.fromkeys("real" if robot.true else "measured" for robot in robots)
+    word = ", or ".join(kinds)
     sideways = any(map(_goes_sideways, robots))
     rows: list[Artist] = [
         row("commanded", color=RED, ls=STRIPES[1]),
@@ -159,7 +160,7 @@ def _of_each_robot(axes: Axes, tracks: Mapping[str, Track], column: int) -> list
         return list(band_rows(BLUE, f"of {len(known)} robots"))
     for index, track in enumerate(tracks.values()):
         line(axes, track, column, **look(index))
-    return [row(name, **look(index)) for index, name in enumerate(tracks)]
+    return [row(name, **look(index)) for index, (name, track) in enumerate(tracks.items()) if len(track.t)]
 
 
 def clearance(series: Series) -> Figure | None:

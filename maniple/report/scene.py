@@ -100,11 +100,16 @@ def trajectories(series: Series) -> Figure | None:
 
 
 def _rows(series: Series, few: bool) -> list[Artist]:
-    word = "" if series.true else " (believed)"
+    words = ["" if robot.true else " (believed)" for robot in series.robots]
     if few:
-        rows: list[Artist] = [row(f"{r.id}{word}", **look(i)) for i, r in enumerate(series.robots)]
+        rows: list[Artist] = [
+            row(f"{robot.id}{word}", **look(place))
+            for place, (robot, word) in enumerate(zip(series.robots, words, strict=True))
+        ]
     else:
-        rows = [row(f"{len(series.robots)} robots{word}", color=BLUE, alpha=0.6)]
+        believed = sum(map(bool, words))
+        word = "" if not believed else f" ({believed if believed < len(words) else 'all'} believed)"
+        rows = [row(f"{len(words)} robots{word}", color=BLUE, alpha=0.6)]
     rows.append(row("reference", color=INK, lw=0.7, ls=STRIPES[1]))
     if series.scenario.guard.fence:
         rows.append(row("fence", **BOUND))

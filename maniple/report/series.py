@@ -13,10 +13,11 @@ import numpy as np
 
 from maniple.control.limits import age_limits
 from maniple.core import topics
+from maniple.core.edges import WORLD
 from maniple.core.envelope import header_of
 from maniple.core.errors import MessageError
 from maniple.core.faults import plan_of
-from maniple.core.geometry import Floats, Pose
+from maniple.core.geometry import Floats
 from maniple.core.messages import (
     Decisions,
     Drive,
@@ -46,6 +47,7 @@ from maniple.report.truth import (
     Stretch,
     control_points,
     estimated_poses,
+    frame_of_odometry,
     ground_of,
     origin_of,
     stretches,
@@ -85,8 +87,10 @@ class RobotSeries(NamedTuple):
     """What is known of one robot over time."""
 
     id: str
+    true: bool
+    """Whether there is ground truth of it; else poses and velocities are what it believes."""
     poses: Track
-    """Middle of the axle in the world (m, m, rad): ground truth, or dead reckoning where there is none."""
+    """Middle of the axle in the world (m, m, rad): ground truth, or odometry where there is none."""
     commanded: Track
     """(u, w, v) that its drive was told, after the guard."""
     real: Track
@@ -118,7 +122,7 @@ class Series(NamedTuple):
     """Stamp of time 0."""
     end_s: float
     true: bool
-    """Whether there is ground truth; else poses and velocities are what the robots believe."""
+    """Whether there is ground truth of any robot."""
     robots: tuple[RobotSeries, ...]
     triangles: tuple[Triangle, ...]
     snapshots: tuple[Snapshot, ...]
@@ -170,6 +174,7 @@ class _Reader:
         self._truth: list[Truth] = []
         self._states: list[FormationState] = []
         self._odometry: defaultdict[str, Samples] = defaultdict(lambda: Samples(6))
+        self._in_world: set[str] = set()
         self._drives: defaultdict[str, Samples] = defaultdict(lambda: Samples(3))
         self._statuses: defaultdict[str, list[Status]] = defaultdict(list)
         self._goals: list[Goal] = []
@@ -211,6 +216,8 @@ class _Reader:
     def _add_odometry(self, m: Odometry) -> None:
         values = (m.x_m, m.y_m, m.psi_rad, m.u_mps, m.w_radps, m.v_mps)
         self._odometry[m.source].add(m.stamp_ns, values)
+        if m.frame_id == WORLD:
+            self._in_world.add(m.source)
 
     def series(self) -> Series:
         """All of it as arrays."""
@@ -279,9 +286,10 @@ class _Reader:
         t = seconds(ground.stamps[known], begin)
         poses = Track(t, ground.poses[known, index])
         real = Track(t, ground.velocities[known, index])
-        if not len(t) and robot.pose is not None:
+        if not len(t):
             stamps, rows = self._odometry[name].arrays()
-            believed = estimated_poses(Pose(*robot.pose), unwrapped(rows[:, :3]))
+            origin = frame_of_odometry(robot, name in self._in_world)
+            believed = estimated_poses(origin, unwrapped(rows[:, :3]))
             poses = Track(seconds(stamps, begin), believed)
             real = Track(poses.t, rows[:, 3:])
         drive_t, drives = self._drives[name].arrays()
@@ -294,6 +302,7 @@ class _Reader:
         modes = ((m.stamp_ns, m.mode) for m in statuses)
         return RobotSeries(
             id=name,
+            true=bool(len(t)),
             poses=with_gaps(poses, STATE_GAP_S),
             commanded=with_gaps(Track(seconds(drive_t, begin), drives), STATE_GAP_S),
             real=with_gaps(real, STATE_GAP_S),
@@ -357,7 +366,9 @@ def _triangles(
             seen[robots].add(state.stamp_ns, tuple(errors.tolist()))
     for part in true:
         for place, robots in enumerate(_triples(part.chain)):
-            real[robots].append((seconds(part.stamps, begin), part.errors[:, place]))
+            known = np.isfinite(part.errors[:, place, 0])
+            if known.any():
+                real[robots].append((seconds(part.stamps[known], begin), part.errors[known, place]))
     found = []
     for robots in dict.fromkeys((*seen, *real)):
         stamps, errors = seen[robots].arrays()
@@ -388,7 +399,7 @@ def _deformation(part: Stretch) -> Floats:
     """How far the worst triangle is from its shape, m, at every moment of a stretch."""
     sides = np.abs(part.errors[..., 3:5]).max(axis=-1)
     across = np.abs(part.errors[..., 5]) * part.desired[..., 3:5].mean(axis=-1)
-    return np.asarray(np.maximum(sides, across).max(axis=1))
+    return np.asarray(np.fmax.reduce(np.maximum(sides, across), axis=1))
 
 
 def _path(states: Sequence[FormationState], scenario: Scenario) -> Floats:
@@ -438,13 +449,18 @@ def outcome(series: Series) -> str:
     figures, last = series.figures, series.last_state
     hits = figures.collisions
     clean = f"with {hits} collision{'s' * (hits > 1)}" if hits else "without a collision"
-    clean = clean if series.true else "with no ground truth to tell collisions"
+    if hits is None:
+        clean = "with no ground truth to tell collisions"
+    elif figures.without_truth:
+        clean += f" as far as ground truth tells (none of {', '.join(figures.without_truth)})"
     if last is None:
         return "The recording holds no word of the controller."
     if figures.completed:
-        off = figures.final_error.out_of_formation_m
+        unknown = figures.final_error.position_m is None
+        end = figures.estimated_final_error if unknown else figures.final_error
+        off = end.out_of_formation_m
         but = f", but out of formation: {off:.1f} m off at the end" if off else ""
-        return f"Completed{f' in {figures.duration_s:.1f} s' if series.true else ''}, {clean}{but}."
+        return f"Completed in {figures.duration_s:.1f} s, {clean}{but}."
     why = f": {last.reason}" if last.reason else ""
     waits = f", waiting for {', '.join(last.waits_for)}" if last.waits_for else ""
     covered = f"{100 * series.task_share:.0f} % of the task's time"

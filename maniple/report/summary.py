@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from maniple.core import topics
+from maniple.core.edges import WORLD
 from maniple.core.errors import MessageError
 from maniple.core.geometry import Floats, wrap_array
 from maniple.core.messages import (
@@ -28,7 +29,7 @@ from maniple.core.time import SECOND, VIRTUAL_EPOCH, Time, to_seconds
 from maniple.report.links import LinkCounts
 from maniple.report.samples import Samples, Stamps
 from maniple.report.true_time import TrueTime
-from maniple.report.truth import Ground, drift, ground_of, stretches
+from maniple.report.truth import Ground, drift, ground_of, stretches, without_truth
 
 LAST: int = SECOND
 """Final errors are the mean of this long before the end, ns."""
@@ -84,16 +85,19 @@ class RunFigures(msgspec.Struct, frozen=True):
     """
 
     duration_s: float
-    """Simulated time from the first ground truth to the end of the task, or of what was seen of it."""
+    """Time of the scenario from the first ground truth, or where there is none the controller's first word,
+    to the end of the task, or of what was seen of it."""
     completed: bool
     """Whether the controller ended with the task done."""
-    collisions: int
+    collisions: int | None
+    """Onsets of contact; None where no ground truth tells."""
     min_clearance_m: float | None
+    """Smallest distance from a robot's outline to anything, likewise."""
     final_error: Errors
-    """Mean of the last second."""
+    """Mean of the last second, over the triangles of which every robot has ground truth."""
     peak_error: Errors
     estimated_final_error: Errors
-    """The final error as the controller sees it."""
+    """The final error as the controller sees it, over all triangles."""
     messages: MessageCounts
     command_age_ms: Percentiles
     lost_robots: list[str] = []
@@ -101,6 +105,8 @@ class RunFigures(msgspec.Struct, frozen=True):
     odometry_drift_m: float | None = None
     """Largest distance, at the end, from where a control point of the chain is to where dead reckoning puts
     it: what the controller can't see of the true error."""
+    without_truth: list[str] = []
+    """Robots that no ground truth tells of: collisions, clearance and true errors are of the others."""
 
 
 class Summary:
@@ -112,6 +118,7 @@ class Summary:
         self._truth: list[Truth] = []
         self._states: list[FormationState] = []
         self._odometry: defaultdict[str, Samples] = defaultdict(lambda: Samples(3))
+        self._in_world: set[str] = set()
         self._lost: set[str] = set()
         self._ages: list[float] = []
         self._links = LinkCounts()
@@ -133,6 +140,8 @@ class Summary:
                 self._lost.update(robot.id for robot in message.roster if robot.state == "lost")
                 self._states.append(msgspec.structs.replace(message, roster=()))
             case Odometry():
+                if message.frame_id == WORLD:
+                    self._in_world.add(message.source)
                 self._odometry[message.source].add(
                     message.stamp_ns, (message.x_m, message.y_m, message.psi_rad)
                 )
@@ -156,11 +165,12 @@ class Summary:
         ground = ground_of([m for m in truth if m.stamp_ns <= end], self._scenario)
         stamps, errors = self._true_errors(ground, running)
         seen_at, estimated = _estimated_errors(running)
-        clearances = [float(unpack_floats(m.clearances).min(initial=np.inf)) for m in truth]
+        clearances = [float(unpack_floats(m.clearances).min()) for m in truth if m.clearances]
+        begin = next((m.stamp_ns for m in (*truth[:1], *states[:1])), end)
         return RunFigures(
-            duration_s=round(to_seconds(end - truth[0].stamp_ns), 6) if truth else 0.0,
+            duration_s=round(to_seconds(end - begin), 6),
             completed=done_at is not None,
-            collisions=last.collisions if last else 0,
+            collisions=last.collisions if last else None,
             min_clearance_m=min(clearances) if clearances else None,
             final_error=_final(stamps, errors, end),
             peak_error=_errors(errors.max(axis=0)) if len(errors) else Errors(),
@@ -169,6 +179,7 @@ class Summary:
             command_age_ms=_percentiles(self._ages),
             lost_robots=[robot.id for robot in self._scenario.robots if robot.id in self._lost],
             odometry_drift_m=self._drift(ground, states, end),
+            without_truth=without_truth(ground, self._scenario),
         )
 
     def _true_errors(self, ground: Ground, states: list[FormationState]) -> tuple[Stamps, Floats]:
@@ -182,7 +193,7 @@ class Summary:
         chains = [m.chain for m in states if m.stamp_ns <= end]
         chain = chains[-1] if chains else [robot.id for robot in self._scenario.robots]
         odometry = {name: samples.arrays() for name, samples in self._odometry.items()}
-        return drift(ground, odometry, chain, self._scenario, end)
+        return drift(ground, odometry, chain, self._scenario, end, self._in_world)
 
 
 def done_since(states: list[FormationState]) -> Time | None:
@@ -198,12 +209,13 @@ def under_way(states: list[FormationState]) -> list[FormationState]:
 
 
 def magnitudes(errors: Floats) -> Floats:
-    """|errors| of triangles (k, m, 6) as the largest over the triangles of the four kinds (k, 4)."""
+    """|errors| of triangles (k, m, 6) as the largest over the triangles of the four kinds (k, 4); triangles
+    that are NaN are left out."""
     position = np.hypot(errors[..., 0], errors[..., 1])
     orientation = np.abs(wrap_array(errors[..., 2]))
     distance = np.abs(errors[..., 3:5]).max(axis=-1)
     angle = np.abs(wrap_array(errors[..., 5]))
-    return np.asarray(np.stack([position, orientation, distance, angle], axis=-1).max(axis=1))
+    return np.asarray(np.fmax.reduce(np.stack([position, orientation, distance, angle], axis=-1), axis=1))
 
 
 def _estimated_errors(states: Iterable[FormationState]) -> tuple[Stamps, Floats]:

@@ -5,7 +5,7 @@ lost robot or new order led to it. Between two states that differ only by motion
 interpolated.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import groupby, zip_longest
 from typing import NamedTuple
 
@@ -14,11 +14,9 @@ import numpy as np
 from central_controller.triangle import f
 from maniple.core.geometry import Floats, Pose, wrap_array
 from maniple.core.messages import FormationState, Truth, unpack_floats
-from maniple.core.scenario.types import Scenario
+from maniple.core.scenario.types import Robot, Scenario
 from maniple.core.time import Time
 from maniple.report.samples import Stamps
-
-WORLD = "world"
 
 
 class Ground(NamedTuple):
@@ -44,7 +42,8 @@ class Stretch(NamedTuple):
     """(k, m, 6): q of the m triangles as they are to be, in the frame that the controller works in."""
     errors: Floats
     """(k, m, 6): desired minus actual; angles wrapped. The shape angle is signed, whatever the controller
-    uses: a mirrored triangle is an error."""
+    uses: a mirrored triangle is an error. NaN for a triangle of which not all three are known; at every
+    moment one is."""
 
 
 def ground_of(truths: Sequence[Truth], scenario: Scenario) -> Ground:
@@ -78,9 +77,15 @@ def origin_of(frame: str, scenario: Scenario) -> Pose:
     return Pose(*(poses.get(frame) or (0.0, 0.0, 0.0)))
 
 
+def without_truth(ground: Ground, scenario: Scenario) -> list[str]:
+    """The robots that no ground truth tells of."""
+    known = np.asarray(np.isfinite(ground.poses[..., 0]).any(axis=0))
+    return [robot.id for robot, told in zip(scenario.robots, known, strict=True) if not told]
+
+
 def stretches(ground: Ground, states: Sequence[FormationState], scenario: Scenario) -> list[Stretch]:
     """The errors of every triangle at each ground truth from the first of `states`, which are in the order
-    of their stamps, on. Times without a chain of three robots are left out."""
+    of their stamps, on. Times without a triangle of three robots that are known are left out."""
     groups = [list(group) for _, group in groupby(states, _kind)]
     found = []
     for group, following in zip_longest(groups, groups[1:]):
@@ -117,27 +122,35 @@ def drift(
     chain: Sequence[str],
     scenario: Scenario,
     end: Time,
+    in_world: Collection[str] = (),
 ) -> float | None:
     """Largest distance (m) at `end`, over the robots of the chain, from where the control point is to where
-    dead reckoning from the initial pose puts it; of a robot not heard that long, when it was heard last.
+    its odometry puts it; of a robot not heard that long, when it was heard last.
 
-    `odometry` has (stamps, (k, 3) poses in the robot's own frame) of each robot. None where nothing can be
-    compared.
+    `odometry` has (stamps, (k, 3) poses) of each robot, in its own frame, or in the world where it is one of
+    `in_world`. None where nothing can be compared.
     """
     found = []
     for index, robot in enumerate(scenario.robots):
         stamps, own = odometry.get(robot.id, (np.empty(0, dtype=np.int64), np.empty((0, 3))))
         truth = ground.poses[:, index]
         known = np.isfinite(truth[:, 0])
-        if robot.id not in chain or robot.pose is None or not len(stamps) or not known.any():
+        if robot.id not in chain or not len(stamps) or not known.any():
             continue
         at = np.array([min(end, int(stamps[-1]), int(ground.stamps[known][-1]))], dtype=np.int64)
-        reckoned = estimated_poses(Pose(*robot.pose), _between(stamps, unwrapped(own), at))
+        origin = frame_of_odometry(robot, robot.id in in_world)
+        reckoned = estimated_poses(origin, _between(stamps, unwrapped(own), at))
         actual = _between(ground.stamps[known], unwrapped(truth[known]), at)
         both = np.stack([reckoned[0], actual[0]])
         ahead = robot.control_point_m * np.stack([np.cos(both[:, 2]), np.sin(both[:, 2])], axis=-1)
         found.append(float(np.hypot(*np.subtract(*(both[:, :2] + ahead)))))
     return max(found, default=None)
+
+
+def frame_of_odometry(robot: Robot, in_world: bool) -> Pose:
+    """Where the frame of a robot's odometry lies in the world, of a resolved scenario: at its initial pose,
+    unless the odometry is given `in_world`."""
+    return Pose(0.0, 0.0, 0.0) if in_world or robot.pose is None else Pose(*robot.pose)
 
 
 def estimated_poses(origin: Pose, own: Floats) -> Floats:
@@ -179,7 +192,8 @@ def _stretch(
         return None
     origin = origin_of(group[0].frame, scenario)
     actual = control_points(ground.poses[rows], scenario)[:, [index[name] for name in chain]]
-    known = np.isfinite(actual).all(axis=(1, 2))
+    told = np.asarray(np.isfinite(actual).all(axis=-1))
+    known = (told[:, :-2] & told[:, 1:-1] & told[:, 2:]).any(axis=1)
     rows, actual = rows[known], actual[known]
     desired = desired_points(group, after, ground.stamps[rows], scenario)
     if desired is None or not len(rows):

@@ -58,6 +58,7 @@ FIELDS = [
     "log",
     "lost_robots",
     "odometry_drift_m",
+    "without_truth",
     "unrecorded",
     "logs",
     "restarts",

@@ -115,7 +115,7 @@ def test_without_ground_truth_the_robots_are_where_they_believe_to_be(
         assert at(believed.poses, 8.0) == pytest.approx(at(real.poses, 8.0 + shift), abs=0.02)
     assert [shot.name for shot in blind.snapshots] == ["start", "end"]
     assert all(not len(triangle.true.t) for triangle in blind.triangles)
-    assert outcome(blind).startswith("Completed, with no ground truth")
+    assert outcome(blind).endswith("s, with no ground truth to tell collisions.")
 
 
 def test_a_controller_that_dies_leaves_a_gap(log: Path, tmp_path: Path) -> None:

@@ -119,11 +119,12 @@ def a_run(scenario: Scenario, *more: Any, **options: Any) -> RunFigures:
 
 def test_nothing(scenario: Scenario) -> None:
     figures = Summary(scenario).figures()
-    assert (figures.duration_s, figures.completed, figures.collisions) == (0.0, False, 0)
+    assert (figures.duration_s, figures.completed, figures.collisions) == (0.0, False, None)
     assert figures.min_clearance_m is None
     assert figures.final_error == figures.peak_error == figures.estimated_final_error == Errors()
     assert (figures.command_age_ms.p50, figures.command_age_ms.p99) == (None, None)
     assert figures.messages.sent == 0
+    assert figures.without_truth == [robot.id for robot in scenario.robots]
 
 
 def test_a_perfect_run(scenario: Scenario) -> None:

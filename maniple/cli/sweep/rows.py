@@ -20,6 +20,7 @@ LEFT_OUT = (
     "log",
     "logs",
     "unrecorded",
+    "without_truth",
     "restarts",
     "interrupted",
 )
