@@ -262,6 +262,29 @@ def test_a_small_jump_in_the_world_is_believed_and_a_large_one_needs_a_new_comma
     assert cell.cruise((9.0, 1.0, 0.0), 20).u_mps == pytest.approx(0.2)
 
 
+@pytest.mark.parametrize("at", [2.0, 2.4])
+def test_what_it_saw_before_a_jump_is_still_where_it_was_seen(make_scenario: Make, at: float) -> None:
+    """A wall is 0.6 m ahead, and then the position estimate is corrected by 0.4 m, or not."""
+    guard = Guard(hold_after_s=0.5, stop_after_s=1.0)
+    cell = Cell(make_scenario, WORLD, guard)
+    for _ in range(80):
+        ranges = pack_floats([8.0] * 90 + [0.6] + [8.0] * 90)
+        scan = Scan(
+            source="r1-driver",
+            first_angle_rad=-math.pi / 2,
+            increment_rad=math.pi / 180,
+            range_min_m=0.0,
+            range_max_m=8.0,
+            mount=(0.0, 0.0, 0.0),
+            ranges=ranges,
+        )
+        cell.hear(topics.scan("r1"), scan)
+        steady = cell.cruise((2.0, 1.0, 0.0), 1, u=0.5).u_mps
+    assert 0.1 < steady < 0.3
+    assert cell.cruise((at, 1.0, 0.0), 1, u=0.5).u_mps == pytest.approx(steady)
+    assert cell.status.counters.get("pose_jumps", 0) == (at > 2.0)
+
+
 def test_a_jump_in_its_own_frame_moves_nothing_and_does_not_stop_it(make_scenario: Make) -> None:
     cell = Cell(make_scenario)
     cell.cruise((2.0, 1.0, 0.0), 20)
