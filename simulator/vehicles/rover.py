@@ -197,7 +197,7 @@ class Rover:
     def _receive(self, message: Any, now: Time) -> None:
         """Deal with one message; what is not for this vehicle, or makes no sense, has no effect."""
         sender, kind = message.get_srcSystem(), message.get_type()
-        if sender == self._spec.system_id:
+        if sender in (0, self._spec.system_id):
             return
         if self._bit("MAV_OPTIONS") and sender != self._value("MAV_GCS_SYSID"):
             return
@@ -526,9 +526,10 @@ class Rover:
             return Velocity()
         speed, yaw, yaw_rate, since = self._target
         here = self._estimate.attitude(now)
-        if now - since > COMMAND_TIMEOUT or here is None:
+        if now - since > COMMAND_TIMEOUT:
             self._text(WARNING, "target not received last 3.0 secs, stopping")
             self._target = None
+        if self._target is None or here is None:
             return Velocity()
         if yaw is not None:
             yaw_rate = self._value("ATC_STR_ANG_P") * wrap(yaw - here.yaw)

@@ -96,15 +96,13 @@ class Telemetry:
         self._scan = scan, now
 
     def met(self, system: int, now: Time) -> None:
-        """A system was heard: it is told what streams by default."""
-        if system in self._due or not system:
-            return
-        if len(self._due) >= _MOST_SYSTEMS:
-            self._due.pop(next(iter(self._due)))
-        self._due[system] = {}
-        for stream in self._streams.values():
-            for message in stream:
-                self._due[system][message] = DEFAULT, now
+        """A system was heard: it is told what streams by default. Those heard last are remembered."""
+        rows = self._due.pop(system, None)
+        if rows is None:
+            rows = {message: (DEFAULT, now) for stream in self._streams.values() for message in stream}
+        self._due[system] = rows
+        if len(self._due) > _MOST_SYSTEMS:
+            del self._due[next(iter(self._due))]
 
     def hurry(self) -> None:
         """The next heartbeat is due now."""
@@ -115,8 +113,8 @@ class Telemetry:
         return message in self._makers and message != self._d.MAVLINK_MSG_ID_HEARTBEAT
 
     def set_interval_us(self, system: int, message: int, interval: int, now: Time) -> None:
-        """How often a system is told: microseconds, 0 for the default, below 0 never."""
-        rows = self._due.setdefault(system, {})
+        """How often a system that was met is told: microseconds, 0 for the default, below 0 never."""
+        rows = self._due[system]
         streamed = any(message in stream for stream in self._streams.values())
         if interval > 0 or (interval == 0 and streamed):
             rows[message] = max(interval * _MICROSECOND, FASTEST) if interval else DEFAULT, now

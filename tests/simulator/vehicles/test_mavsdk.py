@@ -1,5 +1,5 @@
-"""MAVSDK, a MAVLink stack that shares no code with ours or with pymavlink, drives a presented robot, and a real
-ArduPilot Rover where there is one."""
+"""MAVSDK, a MAVLink stack that shares no code with ours or with pymavlink, drives a presented robot, and a
+real ArduPilot Rover where there is one."""
 
 import math
 

@@ -169,6 +169,18 @@ def test_each_station_has_its_own_intervals(started: Bench) -> None:
     assert started.heard("MESSAGE_INTERVAL", 7)[-1].interval_us == 1_000_000
 
 
+def test_a_crowd_of_strangers_does_not_silence_it_for_those_it_works_with(started: Bench) -> None:
+    assert started.command(INTERVAL, dialect.MAVLINK_MSG_ID_ATTITUDE, 50_000) == ACCEPTED
+    for system in range(2, 200):
+        beat(started, system)
+        if system % 5 == 0:
+            started.go(0.0, 0.0)
+            started.run(0.02)
+    before = len(started.heard("ATTITUDE"))
+    started.run(2.0)
+    assert len(started.heard("ATTITUDE")) - before == pytest.approx(40, abs=1)
+
+
 def test_what_it_does_not_have_is_refused(started: Bench) -> None:
     assert started.command(INTERVAL, dialect.MAVLINK_MSG_ID_RAW_IMU, 100_000) == DENIED
     assert f"No ap_message for mavlink id ({dialect.MAVLINK_MSG_ID_RAW_IMU})" in started.texts()
