@@ -36,6 +36,9 @@ emergency stop stands; it has stood by one, and was armed again."""
 DIGITS = 16
 """Of a scenario's digest, as agents tell it."""
 
+_OF_THE_DRIVE = (LOCALISED, START, RANGES, TESTED)
+"""What may hold by itself once the drive is under control."""
+
 UNTESTED = "its emergency stop was not tested: maniple preflight does that"
 
 _STALE_PERIODS = 2.5
@@ -132,6 +135,8 @@ class Preflight:
         }
         if not found[LOCALISED]:
             found[START] = self._elsewhere(member)
+        if found[CONTROLLABLE]:
+            return {item: why for item, why in found.items() if not (why and item in _OF_THE_DRIVE)}
         return found
 
     def _other_scenario(self, status: Status) -> str:

@@ -1,5 +1,6 @@
 """Who is in the platoon, what each robot said last, and how old that is by the controller's own clock."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -30,6 +31,9 @@ LONGEST_BACK: Duration = 16 * SECOND
 
 FORGIVEN_AFTER: Duration = 60 * SECOND
 """... unless it was there for this long in between."""
+
+
+_NUMBER = re.compile(r"(?<![A-Za-z_0-9])[0-9]+")
 
 
 class AgeLimits(NamedTuple):
@@ -393,8 +397,8 @@ def waiting_for(causes: Mapping[str, str]) -> str:
 
 
 def without_figures(text: str) -> str:
-    """A text without its digits: the same for the same thing at another moment."""
-    return "".join(letter for letter in text if not letter.isdigit())
+    """A text without its numbers, but with names like r2: the same for the same thing at another moment."""
+    return _NUMBER.sub("", text)
 
 
 def initial_pose(robot: Robot) -> Pose:

@@ -462,6 +462,6 @@ def outcome(series: Series) -> str:
         but = f", but out of formation: {off:.1f} m off at the end" if off else ""
         return f"Completed in {figures.duration_s:.1f} s, {clean}{but}."
     why = f": {last.reason}" if last.reason else ""
-    waits = f", waiting for {', '.join(last.waits_for)}" if last.waits_for else ""
+    waits = f", waiting for {', '.join(last.waits_for)}" if last.waits_for and not last.reason else ""
     covered = f"{100 * series.task_share:.0f} % of the task's time"
     return f"Not completed: it ended {last.phase}{why}{waits}, after {covered}, {clean}."

@@ -159,7 +159,7 @@ class Summary:
         last = truth[-1] if truth else None
         done_at = done_since(states)
         seen = [m.stamp_ns for m in states if m.phase != "waiting"]
-        ends = (done_at, *seen[-1:], *(m.stamp_ns for m in truth[-1:]), 0)
+        ends = (done_at, *seen[-1:], *(m.stamp_ns for m in (*truth[-1:], *states[-1:])), 0)
         end = next(moment for moment in ends if moment is not None)
         running = [m for m in under_way(states) if m.stamp_ns <= end]
         ground = ground_of([m for m in truth if m.stamp_ns <= end], self._scenario)

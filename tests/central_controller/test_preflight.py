@@ -128,6 +128,19 @@ def test_in_an_emergency_it_is_not_the_stop_that_keeps_it_from_being_controlled(
     assert one.lacking()["controllable"] == "it can't be controlled"
 
 
+def test_what_the_drive_brings_is_not_asked_before_that_is_under_control() -> None:
+    one = Looked()
+    one.r2(status(controllable=False, reason="no vehicle", sees=False, localised=False, estop_tested=False))
+    assert one.lacking() == {"controllable": "it can't be controlled: no vehicle"}
+    own = {check.item: check.holds for check in one.preflight.checks if check.robot == "r2"}
+    assert {item for item, holds in own.items() if holds is None} == {
+        "localised",
+        "start pose",
+        "ranges",
+        "stop tested",
+    }
+
+
 def test_what_can_not_be_known_is_not_said_to_be_missing() -> None:
     one = Looked()
     one.r2(Alive(node="r2", node_incarnation=1, alive=False))

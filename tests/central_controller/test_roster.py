@@ -440,3 +440,12 @@ def test_the_next_life_of_the_controller_believes_the_same_frame_alone() -> None
     view = after.view(T0)
     assert view is not None
     assert view.point == pytest.approx((0.8, 0.0))
+
+
+def test_who_waits_for_something_of_his_own_is_told_of_by_himself() -> None:
+    causes = {"r1": "nobody shows /r1/odom for 1.2 s", "r2": "nobody shows /r2/odom for 1.2 s"}
+    assert waiting_for(causes) == (
+        "waits for r1: nobody shows /r1/odom for 1.2 s; for r2: nobody shows /r2/odom for 1.2 s"
+    )
+    both = {"r1": "it is 1.25 s old", "r2": "it is 10.5 s old"}
+    assert waiting_for(both) == "waits for r1, r2: it is 1.25 s old"

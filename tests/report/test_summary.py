@@ -127,6 +127,15 @@ def test_nothing(scenario: Scenario) -> None:
     assert figures.without_truth == [robot.id for robot in scenario.robots]
 
 
+def test_a_platoon_of_which_nothing_is_simulated_has_waited_as_long_as_the_controller_said(
+    scenario: Scenario,
+) -> None:
+    summary = Summary(scenario)
+    for t_s in (1.0, 4.0):
+        summary.add(state(t_s, "waiting"))
+    assert summary.figures().duration_s == pytest.approx(3.0)
+
+
 def test_a_perfect_run(scenario: Scenario) -> None:
     figures = a_run(scenario)
     assert figures.completed
