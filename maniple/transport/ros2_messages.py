@@ -178,7 +178,8 @@ def scan_of(message: Any, mount: Pose, unmeasured: Literal["near", "far"]) -> Sc
     """
     first, increment = float(message.angle_min), float(message.angle_increment)
     near, far = float(message.range_min), float(message.range_max)
-    given: Floats = np.asarray(message.ranges, dtype=np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN is one all the same
+        given: Floats = np.asarray(message.ranges, dtype=np.float64)
     count = len(given)
     if not (0 <= near < far < math.inf):
         raise MessageError(f"a laser scan has the limits {near:g} and {far:g} m")
