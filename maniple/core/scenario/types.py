@@ -574,7 +574,7 @@ class Preflight(Parameters, frozen=True, kw_only=True):
     """Whether every robot must have stood by an emergency stop, and been armed again, since its agent
     started. (`maniple run` and `maniple preflight` do that.)"""
     start_m: Positive = 1.0
-    """How far a robot that knows where in the world it is may be from its `pose`."""
+    """How far from its `pose` a robot may start, by its own account."""
     start_rad: Positive = 0.5
     """And how far it may be turned from it."""
 
