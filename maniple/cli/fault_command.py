@@ -187,7 +187,12 @@ def partition(
 
 @app.command()
 def crash(
-    node: Annotated[str, typer.Argument(help="A robot, controller, recorder or router.")],
+    node: Annotated[
+        str,
+        typer.Argument(
+            help="A robot, its driver (r1-driver), scanner or vehicle, the controller, recorder or router."
+        ),
+    ],
     restart_after: Annotated[
         float | None, typer.Option("--restart-after", metavar="S", help="May live again after this.")
     ] = None,
@@ -209,7 +214,13 @@ def crash(
 
 @app.command()
 def freeze(
-    node: Annotated[str, typer.Argument(help="A robot, controller, simulator, recorder or router.")],
+    node: Annotated[
+        str,
+        typer.Argument(
+            help="A robot, its driver (r1-driver), scanner or vehicle, the controller, simulator, recorder "
+            "or router."
+        ),
+    ],
     for_s: Annotated[float, typer.Option("--for", metavar="S", help="For so many seconds.")],
     connect: Connect = LOCAL,
     prefix: Prefix = "maniple",

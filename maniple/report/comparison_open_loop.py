@@ -29,7 +29,7 @@ from maniple.report.comparison import (
     scenario_changes,
 )
 from maniple.report.comparison_messages import MessageComparison, Side, TopicDifference
-from maniple.report.comparison_tolerances import Tolerances
+from maniple.report.comparison_tolerances import Tolerances, tolerances_of
 from maniple.report.samples import Samples, Track, seconds
 from maniple.report.summary import magnitudes
 from maniple.report.true_time import TrueTime, epoch_of
@@ -238,6 +238,10 @@ def _recorded(envelope: Envelope) -> Recorded:
     return Recorded(envelope.topic, envelope.data, envelope.stamp_ns, envelope.stamp_ns, envelope.seq)
 
 
+_IGNORED = ("robot/*/status:scenario",)
+"""That another scenario is another one need not be told."""
+
+
 class Sides:
     """What was sent and what would have been, message by message and over time."""
 
@@ -245,7 +249,7 @@ class Sides:
         self._scenarios: dict[Side, Scenario] = {"A": recording.scenario, "B": scenario}
         self._start = recording.start_ns
         self._true_time = TrueTime(recording.scenario, epoch_of(recording))
-        self.comparison = MessageComparison(Tolerances(), self._start)
+        self.comparison = MessageComparison(tolerances_of((), _IGNORED), self._start)
         self._samples: defaultdict[tuple[str, Side], Samples] = defaultdict(lambda: Samples(2))
         self._errors: defaultdict[Side, Samples] = defaultdict(lambda: Samples(4))
         self._fields: dict[str, tuple[str, ...]] = {}

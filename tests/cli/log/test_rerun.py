@@ -125,6 +125,7 @@ def test_what_inputs_that_are_recorded_leave_no_room_for(log: Path, override: st
         (["--node", "r9"], ArgumentError, "--node r9: must be one of controller, r1, r2, r3, r4, simulator"),
         (["--out", "x.mcap"], ArgumentError, "--closed-loop"),
         (["--closed-loop", "--node", "r1"], ArgumentError, "all nodes run"),
+        (["--closed-loop", "--set", "robots.r1.driver=ros2"], ArgumentError, "robots.r1.driver=simulator"),
         (["--set", "controller.kapa=1"], ScenarioError, "controller.kapa"),
         (["--set", "kappa"], ScenarioError, "must be key=value"),
         (["--closed-loop", "--out", __file__], RecordingError, "exists already"),

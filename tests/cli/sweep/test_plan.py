@@ -6,7 +6,7 @@ import pytest
 from maniple.cli.loading import load
 from maniple.cli.sweep.plan import network_margin_s, plan_of, tolerated_delay_s
 from maniple.control.delay_margin import delay_margin_s
-from maniple.core.errors import ScenarioError
+from maniple.core.errors import ArgumentError, ScenarioError
 from maniple.core.scenario.parse import json_data, scenario_of
 from tests.cli.sweep.files import GRID, write_sweep
 
@@ -38,6 +38,15 @@ def test_equal_runs_have_equal_identities_whatever_they_are_called(tmp_path: Pat
     assert [job.id for job in plan_of(write_sweep(tmp_path, renamed)).jobs] == [job.id for job in before.jobs]
     longer = plan_of(write_sweep(tmp_path, GRID.replace("duration_s = 4", "duration_s = 5")))
     assert not {job.id for job in longer.jobs} & {job.id for job in before.jobs}
+
+
+def test_hardware_is_not_swept(tmp_path: Path) -> None:
+    text = 'name = "n"\nscenario = "small.toml"\ngrid.controller.kappa = [0.2, 0.3]\n'
+    text += 'set = ["robots.r2.driver=ros2"]'
+    with pytest.raises(
+        ArgumentError, match=r"a sweep runs in virtual time: drivers .* of r2 \(driver = 'ros2'\)"
+    ):
+        plan_of(write_sweep(tmp_path, text, SHAPED))
 
 
 def test_platoons_of_any_size_have_their_places(tmp_path: Path) -> None:

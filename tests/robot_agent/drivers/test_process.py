@@ -189,8 +189,12 @@ def test_without_its_agent_the_robot_is_stopped_and_then_left_alone(place: Place
 
 
 def test_without_its_router_too_and_it_goes_on_when_that_is_back(place: Place) -> None:
+    """It tells the router what that has forgotten."""
     process = driving(place)
     bench = process.bench
+    plan = FaultPlan(source="operator", incarnation=1, stamp_ns=1, since_ns=place.clock.now())
+    place.agent.put(topics.PLAN, codec.encode(plan))
+    eventually(lambda: place.agent.ask(topics.PLAN))
     place.router.__exit__()
     eventually(lambda: bench.state == "configured")
     assert bench.velocity.u == 0.0
@@ -198,6 +202,7 @@ def test_without_its_router_too_and_it_goes_on_when_that_is_back(place: Place) -
     place.drive_until(lambda: bench.velocity.u == 0.3)
     assert process.made == [bench]
     assert eventually(lambda: place.agent.lives("r1-driver")) == (1,)
+    assert codec.decode(topics.PLAN, eventually(lambda: place.agent.ask(topics.PLAN))[topics.PLAN]) == plan
 
 
 def test_asked_to_end_it_lets_the_robot_stand_deactivates_and_closes(place: Place) -> None:
