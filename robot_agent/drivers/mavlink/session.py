@@ -138,11 +138,14 @@ class Session:
         self._still_since: Time | None = None
         self._seen: deque[tuple[Time, ExternalPose]] = deque(maxlen=100)
         self._resets = 0
+        self._frames = 0
+        self._reference = setup.origin
+        self.vehicle = Vehicle(dialect, period(setup.scan_hz))
         self._begin(0)
 
     def _begin(self, now: Time) -> None:
         """A new connection: of the vehicle nothing is known but who has it."""
-        self.vehicle = Vehicle(self._dialect, period(self._setup.scan_hz))
+        self.vehicle = Vehicle(self._dialect, period(self._setup.scan_hz), self.vehicle.clock)
         self._others: set[int] = set()
         self._commands = Commands(self._dialect, (self._setup.system_id, self._setup.component_id))
         self._asked: dict[str, tuple[Time, int]] = {}
@@ -278,6 +281,7 @@ class Session:
             reason=hindrance,
             pose=pose(reckoned.north, reckoned.east, reckoned.yaw, self._at),
             twist=turning,
+            origin=self._frames,
         )
 
     def scan(self, now: Time) -> Scan | None:
@@ -439,8 +443,9 @@ class Session:
     def _look_after(self, now: Time) -> None:
         """Whether the vehicle is still there, and where its origin lies."""
         vehicle, setup = self.vehicle, self._setup
-        if setup.origin is not None and vehicle.origin is not None:
-            self._at = east_north(setup.origin, vehicle.origin)
+        if vehicle.origin is not None:
+            self._reference = self._reference or vehicle.origin
+            self._at = east_north(self._reference, vehicle.origin)
         if self.state in ("closed", "fault"):
             return
         assert vehicle.heard is not None, "connected"
@@ -451,6 +456,8 @@ class Session:
             self._fail(f"no heartbeat of it for {to_seconds(MISSED):g} s", now)
         elif vehicle.restarted:
             self._fail("it was started anew", now)
+            self._frames += setup.origin is None
+            self._reference = setup.origin
         elif self.state != "connected" and now - vehicle.heard < STALE and (gone := self._gone(now)):
             self._fail(f"it no longer says {gone}", now)
 
@@ -493,7 +500,7 @@ class Session:
 
     def _configure(self, now: Time) -> str:
         waits = (
-            self._set_rates()
+            self._set_rates(now)
             or self._read_parameters(now)
             or parameters.refused(self.vehicle.parameters, self._needs)
             or self._place(now)
@@ -501,20 +508,26 @@ class Session:
         )
         if not waits and (self.vehicle.last is None or now - self.vehicle.last.at > STALE):
             waits = self.vehicle.says_no_position()
+        if not waits and self.vehicle.clock is not None and self.vehicle.clock.strange:
+            waits = "finds out whether it was started anew"
         if not waits:
             self.state, self._step = "configured", None
         return waits
 
-    def _set_rates(self) -> str:
+    def _set_rates(self, now: Time) -> str:
         """What it says how often, and its version."""
         if not self.vehicle.version:
             self._commands.ask("version", _REQUEST_MESSAGE, _VERSION)
+        if self.vehicle.origin is None:
+            self._commands.ask("origin", _REQUEST_MESSAGE, _ORIGIN)
         waits = ""
         for number, rate in self._setup.intervals.items():
             answer = self._commands.ask(("interval", number), _SET_MESSAGE_INTERVAL, number, 1e6 / rate)
             if answer is None:
                 waits = waits or "sets how often it says what"
             elif number in REQUIRED and not answer.accepted:
+                if now - answer.at > REFUSED:
+                    self._commands.forget(("interval", number), _SET_MESSAGE_INTERVAL)
                 return f"it refuses to say {REQUIRED[number]} at {rate:g} Hz: {answer.words}"
         return waits
 

@@ -46,7 +46,7 @@ class Reckoned(NamedTuple):
     yaw_rate: float
 
 
-class _Clock(NamedTuple):
+class Clock(NamedTuple):
     """The vehicle's clock, as its attitudes tell it. A time that does not fit may be damaged; several that
     fit each other are not."""
 
@@ -55,15 +55,15 @@ class _Clock(NamedTuple):
     strange: int
 
 
-def _went_on(clock: _Clock | None, time_ms: int) -> _Clock:
+def _went_on(clock: Clock | None, time_ms: int) -> Clock:
     """The clock after the next time it told."""
     if clock is None:
-        return _Clock(time_ms, time_ms, 0)
+        return Clock(time_ms, time_ms, 0)
     fits, again = (-_BACK_MS <= time_ms - ms <= _ON_MS for ms in (clock.last_ms, clock.strange_ms))
     if fits and not (clock.strange and abs(time_ms - clock.strange_ms) < abs(time_ms - clock.last_ms)):
-        return _Clock(time_ms, time_ms, 0)
+        return Clock(time_ms, time_ms, 0)
     if again and clock.strange >= _STRANGE:
-        return _Clock(time_ms, time_ms, 0)
+        return Clock(time_ms, time_ms, 0)
     return clock._replace(strange_ms=time_ms, strange=clock.strange + 1 if again else 1)
 
 
@@ -71,8 +71,8 @@ class Vehicle:
     """Everything one vehicle has said since it was connected. Absurd values are counted in `odd` and left
     out."""
 
-    def __init__(self, dialect: Any, period: Duration) -> None:
-        """`period` of its scans."""
+    def __init__(self, dialect: Any, period: Duration, clock: Clock | None = None) -> None:
+        """`period` of its scans; `clock` as it was on the connection before."""
         self._dialect = dialect
         self.ranges = Ranges(period)
         self.type: int | None = None
@@ -101,7 +101,7 @@ class Vehicle:
         self.restarted = False
         """Whether its clock began anew."""
         self._attitude: Any = None
-        self._clock: _Clock | None = None
+        self.clock = clock
         self._texts: deque[tuple[Time, str]] = deque(maxlen=20)
         self._chunks: tuple[int, str] = (0, "")
         self._arrivals: dict[str, deque[Time]] = {}
@@ -215,8 +215,8 @@ class Vehicle:
             self.odd += 1
             return
         self._attitude = message
-        before, self._clock = self._clock, _went_on(self._clock, message.time_boot_ms)
-        self.restarted |= before is not None and self._clock.last_ms < before.last_ms - _BACK_MS
+        before, self.clock = self.clock, _went_on(self.clock, message.time_boot_ms)
+        self.restarted |= before is not None and self.clock.last_ms < before.last_ms - _BACK_MS
 
     def _heard_position(self, message: Any, now: Time) -> None:
         position = message.x, message.y

@@ -14,7 +14,7 @@ from maniple.core.messages import ExternalPose, Motion, Scan, pack_floats, unpac
 from maniple.core.time import MILLISECOND, SECOND, to_seconds
 from maniple.transport.mavlink_framing import Framer
 from robot_agent.drivers.interface import LIFE_CYCLE, Step
-from robot_agent.drivers.mavlink.frames import Origin
+from robot_agent.drivers.mavlink.frames import METRES_PER_DEGREE, Origin
 from robot_agent.drivers.mavlink.ranges import SECTORS
 from robot_agent.drivers.mavlink.session import MISSED, SILENT, STALE, Setup
 from tests.robot_agent.drivers.mavlink.bench import GCS, MAV, PLACE, ROVER, SETUP, Bench, Pipe, drive
@@ -246,10 +246,10 @@ def test_a_command_that_is_not_answered_is_told() -> None:
 
 
 def test_acknowledgements_that_are_lost_do_no_harm() -> None:
-    """Every second frame of either side is lost."""
+    """Every fourth frame of either side is lost."""
     bench = Bench()
     noise = random.Random(5)
-    bench.between = bench.upward = lambda messages: [m for m in messages if noise.random() < 0.5]
+    bench.between = bench.upward = lambda messages: [m for m in messages if noise.random() < 0.75]
     bench.reach("active")
     assert bench.rover.armed
     bench.order = drive(0.4)
@@ -646,6 +646,45 @@ def test_without_an_origin_the_pose_is_the_vehicles_own() -> None:
     pose = bench.motions[-1].pose
     assert pose is not None
     assert pose[2] == pytest.approx(bench.pose[2], abs=1e-3)
+
+
+def test_a_frame_of_its_own_goes_on_while_the_vehicle_does() -> None:
+    """Over a link that is cut, and an origin that moves; with a vehicle started anew it begins anew."""
+    bench = active(SETUP._replace(origin=None))
+    bench.run(0.5)
+    first = bench.motions[-1]
+    bench.cut = True
+    bench.until(lambda: bench.session.state == "fault")
+    bench.take("close")
+    bench.cut = False
+    bench.reach("active")
+    bench.run(0.5)
+    again = bench.motions[-1]
+    assert again.origin == first.origin == 0
+    assert again.pose == pytest.approx(first.pose, abs=1e-3)
+    assert bench.session.vehicle.origin is not None
+    moved = bench.session.vehicle.origin._replace(
+        latitude_e7=bench.session.vehicle.origin.latitude_e7 + 1000
+    )  # 11.13 m further north
+    north = 1000e-7 * METRES_PER_DEGREE
+
+    def between(messages: list[Any]) -> list[Any]:
+        for message in messages:
+            if message.get_type() == "LOCAL_POSITION_NED":
+                message.x -= north
+        return messages
+
+    bench.between = between
+    bench.session.vehicle.origin = moved
+    bench.run(0.5)
+    assert bench.motions[-1].pose == pytest.approx(first.pose, abs=1e-3)
+    bench.between = unchanged
+    bench.switch_on()
+    bench.until(lambda: bench.session.state == "fault")
+    bench.run(6.0)
+    bench.reach("configured")
+    bench.run(0.5)
+    assert bench.motions[-1].origin == 1
 
 
 def test_fed_with_where_it_is() -> None:
