@@ -5,9 +5,8 @@ import math
 import socket
 import threading
 import time
-from collections.abc import Collection
 from types import TracebackType
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
 
@@ -16,10 +15,6 @@ from maniple.control.limits import Velocity
 from maniple.core.geometry import Pose
 from maniple.core.messages import Drive, Motion, Scan, pack_floats
 from maniple.core.scenario.types import Robot, Scenario
-from maniple.core.time import Duration
-from maniple.transport.ros2 import Network, RosPublisher, RosSession
-from maniple.transport.ros2_cdr import TWIST, TWIST_STAMPED
-from maniple.transport.ros2_messages import Velocity3, twist, twist_stamped
 from maniple.transport.zenoh import ZenohSession
 from simulator.vehicles.ros2 import Ros2Vehicle
 
@@ -95,9 +90,7 @@ class Cable:
 
 
 class Peer:
-    """The robot, its router and its cable. It is also a rig of the conformance suite."""
-
-    acts: Collection[Literal["cut", "restore", "take", "give"]] = ("cut", "restore", "take", "give")
+    """The robot, its router and its cable."""
 
     def __init__(self, scenario: Scenario, robot: Robot) -> None:
         port = free_port()
@@ -108,17 +101,11 @@ class Peer:
         self.endpoint = f"tcp/127.0.0.1:{self.cable.port}"
         """And as others do."""
         self.vehicle = Ros2Vehicle(scenario, robot, self.local)
-        self._network = Network(robot.ros2.layout, robot.ros2.domain_id)
-        self._stamped = robot.ros2.stamped
         self.pose = Pose(3.0, 2.0, 1.0)
         self.moves = Velocity()
         self.order = Drive(u_mps=0.0, w_radps=0.0, active=False)
         self._rates = scenario.rates
         self._ended = threading.Event()
-        self._pilot: RosSession | None = None
-        self._commands: RosPublisher | None = None
-        self._given = threading.Event()
-        self._given.set()
         self.vehicle.open(time.time_ns())
         self._thread = threading.Thread(target=self._live, daemon=True)
         self._thread.start()
@@ -132,46 +119,8 @@ class Peer:
         self._ended.set()
         self._thread.join()
         self.vehicle.close(time.time_ns())
-        if self._pilot is not None:
-            self._pilot.close()
         self.cable.close()
         self.router.close()
-
-    def now(self) -> int:
-        return time.monotonic_ns()
-
-    def wait(self, duration: Duration) -> None:
-        time.sleep(duration / 1e9)
-
-    def velocity(self) -> Velocity:
-        return self.moves
-
-    def act(self, act: Literal["cut", "restore", "take", "give"]) -> None:
-        if act == "cut":
-            self.cable.cut()
-        elif act == "restore":
-            self.cable.restore()
-        elif act == "take":
-            if self._pilot is None:
-                self._pilot = RosSession.open(self.local, "teleop", "/", self._network)
-                kind = TWIST_STAMPED if self._stamped else TWIST
-                self._commands = self._pilot.advertise("/r2/cmd_vel", kind)
-            pilot = self._commands
-            assert pilot is not None
-            self._given = threading.Event()
-            threading.Thread(target=self._command, args=(pilot, self._given), daemon=True).start()
-        else:
-            self._given.set()
-
-    def taken(self) -> bool:
-        return not self._given.is_set()
-
-    def _command(self, pilot: RosPublisher, given: threading.Event) -> None:
-        """Somebody at a joystick, who does not move it."""
-        still = Velocity3(0.0, 0.0, 0.0)
-        while not given.wait(0.1):
-            stamp = time.time_ns()
-            pilot.publish(twist_stamped(still, stamp, "base_link") if self._stamped else twist(still))
 
     def _live(self) -> None:
         steps = 0

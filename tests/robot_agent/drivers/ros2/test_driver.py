@@ -452,6 +452,26 @@ def test_the_router_may_go_and_come_back() -> None:
     OPEN.insert(0, router.close)
 
 
+def test_while_its_cable_is_cut_the_robot_stands_and_afterwards_is_where_it_rolled_to() -> None:
+    """Nobody is told of the cut: bytes just do not come."""
+    with Peer(*scene()) as peer:
+        bench, start = Bench(peer.endpoint), peer.pose
+        bench.bring_up()
+        bench.drive(0.3)
+        bench.until(lambda: peer.moves.u > 0.25)
+        peer.cable.cut()
+        bench.says(f"no {ODOMETRY} on /r2/odom")
+        bench.until(lambda: abs(peer.moves.u) < 0.01)
+        assert not peer.order.active
+        bench.drive(0.0)
+        peer.cable.restore()
+        bench.until(lambda: bench.motions[-1].controllable and abs(peer.moves.u) < 0.001)
+        rolled = start.inverse().compose(peer.pose)
+        bench.until(lambda: bench.motions[-1].pose == pytest.approx(tuple(rolled), abs=1e-3))
+        assert {motion.state for motion in bench.motions if motion.controllable} == {"active", "configured"}
+        bench.take("close")
+
+
 @pytest.mark.parametrize("layout", ["rmw_zenoh", "ros2dds"])
 def test_ten_thousand_corrupted_messages_are_counted_and_move_nothing(layout: Layout) -> None:
     """Into a driver that is configured and into the robot, from which nobody wants anything."""
