@@ -205,6 +205,7 @@ def _tried(
     rig = conformance.WallRig()
     findings: list[Finding] = []
     with on_interrupt(_interrupt):
+        say.line(f"       waits for its vehicle, at most {patience_s:g} s")
         seen = conformance.look(factory, scenario, robot.id, rig, endpoint=endpoint, patience_s=patience_s)
         say.look(seen)
         missing = list(_missing(scenario, robot, name, seen))
@@ -241,17 +242,19 @@ class _Say:
 
     def look(self, seen: "Look") -> None:
         """What the vehicle answered."""
+        answers = dict(seen.answers)
+        if seen.state == "configured":
+            answers |= {"motion": f"{seen.motion_hz:.1f} Hz", "scans": f"{seen.scan_hz:.1f} Hz"}
+            if seen.motion is not None and seen.motion.pose is not None:
+                x, y, psi = seen.motion.pose
+                answers["pose"] = f"({x:.2f} m, {y:.2f} m, {psi:.2f} rad)"
         table = Table.grid(padding=(0, 2))
-        for what, answer in seen.answers.items():
+        for what, answer in answers.items():
             table.add_row(Text(f"       {what}"), Text(answer))
-        table.add_row(Text("       motion"), Text(f"{seen.motion_hz:.1f} Hz"))
-        table.add_row(Text("       scans"), Text(f"{seen.scan_hz:.1f} Hz"))
-        if seen.motion is not None and seen.motion.pose is not None:
-            x, y, psi = seen.motion.pose
-            table.add_row(Text("       pose"), Text(f"({x:.2f} m, {y:.2f} m, {psi:.2f} rad)"))
-        self._console.print(table)
-        word = "ok  " if seen.state == "configured" else "FAIL"
-        self.line(f"{word}   it is {seen.state} after {seen.after_s:.1f} s")
+        if answers:
+            self._console.print(table)
+        if seen.state == "configured":
+            self.line(f"ok     configured after {seen.after_s:.1f} s")
 
     def finding(self, finding: "Finding") -> None:
         """One property."""
