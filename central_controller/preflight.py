@@ -7,7 +7,7 @@ from central_controller.roster import OUT_OF_CONTROL, Member
 from maniple.core import edges, topics
 from maniple.core.geometry import Pose, wrap
 from maniple.core.messages import Check, Status
-from maniple.core.scenario.parse import digest_of, to_json
+from maniple.core.scenario.parse import short_digest
 from maniple.core.scenario.places import fastest_place_mps
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import Time, from_seconds
@@ -33,9 +33,6 @@ its drive is active and lets itself be controlled; it knows where it is, and is 
 pose in the scenario; it has the ranges that its layers and its guard go by; it can do what the task asks; no
 emergency stop stands; it has stood by one, and was armed again."""
 
-DIGITS = 16
-"""Of a scenario's digest, as agents tell it."""
-
 _OF_THE_DRIVE = (LOCALISED, START, RANGES, TESTED)
 """What may hold by itself once the drive is under control."""
 
@@ -60,7 +57,7 @@ class Preflight:
         self._asked = scenario.preflight
         self._members = members if edges.preflight_asked(scenario) else ()
         self._ranges = ranges
-        self._digest = digest_of(to_json(scenario))[:DIGITS] if self._members else ""
+        self._digest = short_digest(scenario) if self._members else ""
         self._status_stale = max(
             from_seconds(topics.topic(topics.status("x")).stale_after_s),
             from_seconds(_STALE_PERIODS / scenario.rates.status_hz),
@@ -140,11 +137,14 @@ class Preflight:
         return found
 
     def _other_scenario(self, status: Status) -> str:
-        if status.scenario == self._digest:
-            return ""
         if not status.scenario:
             return "its agent does not say which scenario it runs"
-        return f"its agent runs another scenario ({status.scenario}) than the controller ({self._digest})"
+        told = {"agent": status.scenario, "driver": status.drive_scenario or self._digest}
+        return "; ".join(
+            f"its {who} runs another scenario ({digest}) than the controller ({self._digest})"
+            for who, digest in told.items()
+            if digest != self._digest
+        )
 
     def _blind(self, member: Member, status: Status, now: Time) -> str:
         if not status.sees:

@@ -30,7 +30,7 @@ from maniple.core.messages import (
     Status,
 )
 from maniple.core.node import Outgoing, Received
-from maniple.core.scenario.parse import digest_of, to_json
+from maniple.core.scenario.parse import short_digest
 from maniple.core.scenario.types import Robot, Scenario
 from maniple.core.time import Duration, Time, from_seconds, period, to_seconds
 from robot_agent import dead_reckoning, modes
@@ -61,9 +61,6 @@ commanded from there."""
 _FARTHEST_M, _FASTEST = 1e6, 1e3
 """No drive is farther from where its frame begins, or moves or turns faster (m/s, rad/s)."""
 
-_DIGITS = 16
-"""Of the scenario's digest that are told."""
-
 
 class RobotAgent:
     """Guides one robot of a resolved scenario: from the cut of the layers on, and with the last word.
@@ -89,7 +86,7 @@ class RobotAgent:
         model, layer = scenario.model_of(robot), scenario.placement.robot_from
         capabilities = capabilities_of(scenario, robot, drivers)
         self._id = robot_id
-        self._digest = digest_of(to_json(scenario))[:_DIGITS]
+        self._digest = short_digest(scenario)
         self._motion_source, self._scan_source = motion_source(robot), scan_source(robot)
         self._odometry, self._ranges = topics.odometry(robot_id), topics.ranges(robot_id)
         self._drive, self._status = topics.drive(robot_id), topics.status(robot_id)
@@ -409,6 +406,7 @@ class RobotAgent:
             controllable=self._controllable(now),
             estop_tested=self._estop_tested,
             scenario=self._digest,
+            drive_scenario="" if motion is None else motion.scenario,
             sees=not self._blind(now),
             limits=(self._limits.u_max, self._limits.w_max, self._limits.v_max),
         )

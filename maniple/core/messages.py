@@ -143,6 +143,9 @@ class Status(Message, frozen=True, kw_only=True, gc=False):
     """Whether it has the ranges that its layers or its guard go by; true for one that goes by none."""
     limits: tuple[float, float, float] | None = None
     """The most that it can do with its driver: (u m/s, w rad/s, v m/s)."""
+    drive_scenario: str = ""
+    """The same digits of the scenario that the process of its driver runs; empty where it has none, or that
+    does not say."""
 
 
 class Command(Message, frozen=True, kw_only=True, gc=False):
@@ -371,6 +374,8 @@ class Motion(Message, frozen=True, kw_only=True, gc=False):
     capabilities name, of the same point as for the model."""
     twist: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """With `pose`: (u m/s, w rad/s, v m/s) as the drive measures them."""
+    scenario: str = ""
+    """From the process of a driver: digest of the scenario it runs, the first 16 digits."""
     origin: Count | None = None
     """With `pose`: how often its frame began anew in this life of the driver. While that stays the same,
     poses go on from those before, whatever state the driver was in meanwhile (a vehicle rolls on while its

@@ -10,10 +10,13 @@ import threading
 import time
 from collections.abc import Callable
 
+from msgspec.structs import replace
+
 from maniple.core import topics
 from maniple.core.envelope import envelope_of
 from maniple.core.errors import ManipleError, MessageError, ScenarioError
 from maniple.core.messages import Drive, ExternalPose, Motion, Scan
+from maniple.core.scenario.parse import short_digest
 from maniple.core.scenario.types import Robot, Scenario
 from maniple.core.time import Duration, Time, period
 from maniple.host.clock import Anchor
@@ -68,6 +71,7 @@ class DriverHost:
         self._member = Membership(name, incarnation, scenario, clock, fleet, self._inbox, meet)
         self._inlets = Inlets(scenario.rates)
         self._stamper = Stamper(name, incarnation)
+        self._digest = short_digest(scenario)
         self._keeper = Keeper(self._driver.capabilities)
         self._lateness = Lateness()
         self._standing = Standing()
@@ -200,6 +204,8 @@ class DriverHost:
             self._driver.take("close", now)
 
     def _say(self, report: Motion | Scan) -> None:
+        if isinstance(report, Motion):
+            report = replace(report, scenario=self._digest)
         if topic := self._says[type(report)]:
             self._hardware.put(topic, self._stamper.stamp(topic, report, self._clock.now()).data)
 

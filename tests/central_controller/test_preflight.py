@@ -14,7 +14,7 @@ from maniple.core.edges import WORLD
 from maniple.core.geometry import Pose
 from maniple.core.messages import Alive, Check, Command, FormationState, Goal, Odometry, Status
 from maniple.core.scenario import types
-from maniple.core.scenario.parse import digest_of, to_json
+from maniple.core.scenario.parse import short_digest
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import MILLISECOND, SECOND
 from tests.central_controller.driver import AHEAD, ORIGIN, T0, Driver, odometry, scan, scenario
@@ -36,7 +36,7 @@ def status(made: Scenario = ASKED, **changes: Any) -> Status:
         counters={},
         controllable=True,
         estop_tested=True,
-        scenario=digest_of(to_json(made))[:16],
+        scenario=short_digest(made),
         limits=(1.0, 2.0, 0.0),
     )
     return replace(fit, **changes)
@@ -92,6 +92,7 @@ def test_of_a_simulated_platoon_nothing_is_asked() -> None:
     [
         ({"scenario": "0123456789abcdef"}, "scenario", "its agent runs another scenario (0123456789abcdef)"),
         ({"scenario": ""}, "scenario", "its agent does not say which scenario it runs"),
+        ({"drive_scenario": "f" * 16}, "scenario", f"its driver runs another scenario ({'f' * 16}) than"),
         (
             {"controllable": False, "reason": "a pilot has taken it: mode MANUAL"},
             "controllable",

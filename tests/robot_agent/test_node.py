@@ -3,6 +3,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import pytest
+from msgspec.structs import replace
 
 from maniple.cli.loading import robot_models
 from maniple.control.builtin import BUILTIN
@@ -30,6 +31,7 @@ from maniple.core.messages import (
     unpack_floats,
 )
 from maniple.core.node import Outgoing, Received
+from maniple.core.scenario.parse import short_digest
 from maniple.core.scenario.types import (
     Avoidance,
     Circle,
@@ -444,6 +446,7 @@ def test_stands_when_its_own_layers_have_no_ranges(
     run(agent, command_from, (0.1, 0.0), T0, 5)
     status = status_of(agent, T0 + 4 * TICK)
     assert (status.mode, status.guard, status.reason) == ("waiting", "blind", "no ranges yet")
+    assert not status.sees
     now = T0 + 4 * TICK
     for _ in range(20):
         now += TICK
@@ -451,6 +454,7 @@ def test_stands_when_its_own_layers_have_no_ranges(
         drive = run(agent, command_from, (0.1, 0.0), now, 1)
     assert drive.u_mps == pytest.approx(0.1)
     assert status_of(agent, now).mode == "tracking"
+    assert status_of(agent, now).sees
     drive = run(agent, command_from, (0.1, 0.0), now + TICK, 20)
     assert (drive.u_mps, drive.w_radps) == (0.0, 0.0)
     status = status_of(agent, now + 20 * TICK)
@@ -477,6 +481,18 @@ def test_needs_no_ranges_that_nothing_of_its_own_uses(
         drive = drive_of(agent, now)
     assert drive.u_mps == pytest.approx(0.1)
     assert status_of(agent, now).mode == "tracking"
+
+
+def test_it_tells_what_it_can_do_and_which_scenarios_are_run(make_scenario: Make) -> None:
+    scenario = make_scenario()
+    agent = RobotAgent(scenario, "r1")
+    model, status = scenario.model_of(scenario.robots[0]), status_of(agent, T0)
+    assert status.limits == (model.u_max_mps, model.w_max_radps, 0.0)
+    assert (status.scenario, status.drive_scenario) == (short_digest(scenario), "")
+    report = motion(T0).message
+    assert isinstance(report, Motion)
+    agent.on_message(Received(topics.motion("r1"), replace(report, scenario="f" * 16)), T0)
+    assert status_of(agent, T0).drive_scenario == "f" * 16
 
 
 class Commander:

@@ -76,6 +76,11 @@ def digest_of(scenario_json: bytes) -> str:
     return hashlib.sha256(scenario_json).hexdigest()
 
 
+def short_digest(scenario: Scenario) -> str:
+    """Its first 16 digits, as nodes tell each other which scenario they run."""
+    return digest_of(to_json(scenario))[:16]
+
+
 def json_data(data: bytes) -> dict[str, Any]:
     """The table in JSON bytes.
 
