@@ -62,6 +62,7 @@ class MavlinkDriver:
             gcs_system_id=link.gcs_system_id,
             u_max_mps=model.u_max_mps,
             w_max_radps=model.w_max_radps,
+            brake_mps2=model.brake_mps2,
             arm=link.arm,
             disarm=link.disarm,
             origin=None if link.origin is None else Origin.of(*link.origin),
@@ -180,4 +181,4 @@ def _dialect(connection: str) -> Any:
     try:
         return load_dialect(serial=connection.startswith("serial:"))
     except MissingExtraError as error:
-        raise ScenarioError(str(error)) from None
+        raise ScenarioError(f"driver = 'mavlink': {error}") from None

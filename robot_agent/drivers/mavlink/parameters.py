@@ -1,23 +1,37 @@
 """Which of a vehicle's parameters matter to a platoon, and what they have to be."""
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-ALWAYS = ("WP_SPEED", "FS_GCS_ENABLE", "MAV_GCS_SYSID", "SYSID_MYGCS", "MAV_OPTIONS", "SYSID_ENFORCE")
-OLD = {"SYSID_MYGCS": "MAV_GCS_SYSID", "SYSID_ENFORCE": "MAV_OPTIONS"}
-"""What the new ones, of ArduPilot 4.7, replaced."""
+ALWAYS = (
+    "WP_SPEED",
+    "ATC_STR_RAT_MAX",
+    "ATC_ACCEL_MAX",
+    "ATC_DECEL_MAX",
+    "FS_GCS_ENABLE",
+    "MAV_GCS_SYSID",
+    "SYSID_MYGCS",
+    "MAV_OPTIONS",
+    "SYSID_ENFORCE",
+)
+SAME = {"SYSID_MYGCS": "MAV_GCS_SYSID", "SYSID_ENFORCE": "MAV_OPTIONS"}
+SAME |= {new: old for old, new in SAME.items()}
+"""The two names of one thing: the second ones came with ArduPilot 4.7."""
 EXTERNAL = ("EK3_SRC1_POSXY", "EK3_SRC1_YAW", "VISO_TYPE")
 """Of a vehicle that is fed with its position."""
 
 _FROM_GCS_ONLY = 1
 _EXTERNAL_NAVIGATION = 6
-_CLIP_MPS = 1e-3
+_CLIP = 1e-3
 
 
 class Needs(NamedTuple):
     """What a scenario asks of them."""
 
     u_max_mps: float
+    w_max_radps: float
+    brake_mps2: float
     gcs_system_id: int
     external_pose: bool
 
@@ -31,10 +45,23 @@ def refused(values: Mapping[str, float], needs: Needs) -> str:
     """Why the vehicle can't be used as it is set up; empty where it can. What it does not have is nothing
     to complain of."""
     speed = values.get("WP_SPEED")
-    if speed is not None and speed < needs.u_max_mps - _CLIP_MPS:
+    if speed is not None and speed < needs.u_max_mps - _CLIP:
         return (
             f"its WP_SPEED is {speed:g} m/s, and it drives no faster whatever it is told; must be at least "
             f"u_max_mps = {needs.u_max_mps:g} of the robot's model (set WP_SPEED, or lower u_max_mps)"
+        )
+    turning = math.radians(values.get("ATC_STR_RAT_MAX", 0.0))
+    if 0.0 < turning < needs.w_max_radps - _CLIP:
+        return (
+            f"its ATC_STR_RAT_MAX is {math.degrees(turning):g} degrees/s, and it turns no faster; must be at "
+            f"least {math.degrees(needs.w_max_radps):.1f}, w_max_radps = {needs.w_max_radps:g} of the "
+            "robot's model, or 0 for no limit"
+        )
+    name = "ATC_DECEL_MAX" if values.get("ATC_DECEL_MAX", 0.0) > 0.0 else "ATC_ACCEL_MAX"
+    if 0.0 < values.get(name, 0.0) < needs.brake_mps2 - _CLIP:
+        return (
+            f"its {name} is {values[name]:g} m/s^2, and it brakes no harder; must be at least brake_mps2 = "
+            f"{needs.brake_mps2:g} of the robot's model, on which the guard relies"
         )
     heeded = _heeded(values)
     if _enforced(values) and heeded is not None and heeded != needs.gcs_system_id:

@@ -53,7 +53,7 @@ MOVES_WITHIN: Duration = 2 * SECOND
 """A vehicle that is told to drive has to move after so long."""
 ASKED_EVERY: Duration = SECOND
 """How often things are asked for that bear no acknowledgement,"""
-ASKED_TIMES = 3
+ASKED_TIMES = 5
 """and how often before it is clear that there is no answer."""
 MOST_HZ = 40.0
 """ArduPilot's telemetry is not faster."""
@@ -85,6 +85,7 @@ class Setup(NamedTuple):
     gcs_system_id: int
     u_max_mps: float
     w_max_radps: float
+    brake_mps2: float
     arm: bool
     disarm: bool
     origin: Origin | None
@@ -119,7 +120,9 @@ class Session:
         """Why it is not where it was asked to be, or not controllable; empty where all is well."""
         self.outbox: list[Any] = []
         self._dialect, self._setup = dialect, setup
-        self._needs = parameters.Needs(setup.u_max_mps, setup.gcs_system_id, setup.external_pose)
+        self._needs = parameters.Needs(
+            setup.u_max_mps, setup.w_max_radps, setup.brake_mps2, setup.gcs_system_id, setup.external_pose
+        )
         self._step: Step | None = None
         self._step_at: Time = 0
         self._failure = ""
@@ -536,7 +539,7 @@ class Session:
         vehicle = self.vehicle
         known = vehicle.parameters.keys()
         missing = [
-            name for name in self._needs.names if name not in known and parameters.OLD.get(name) not in known
+            name for name in self._needs.names if name not in known and parameters.SAME.get(name) not in known
         ]
         missing = [name for name in missing if self._times(name) <= ASKED_TIMES]
         for name in missing:

@@ -28,6 +28,7 @@ SETUP = Setup(
     gcs_system_id=GCS,
     u_max_mps=0.75,
     w_max_radps=1.7,
+    brake_mps2=0.6,
     arm=True,
     disarm=True,
     origin=Origin.of(*PLACE),
