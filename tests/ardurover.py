@@ -1,11 +1,8 @@
-"""A real ArduPilot Rover, where there is one: its simulator's binary, named by MANIPLE_ARDUROVER.
-
-The variable holds a command: "/opt/ardurover", or with options of its own as in
-"/opt/ardurover --model rover-skid --defaults /opt/rover-skid.parm". Port and place are added.
-"""
+"""ArduPilot Rover's own firmware, where the environment variable MANIPLE_ARDUROVER names a binary of it that was
+built for its simulator (SITL)."""
 
 import os
-import shlex
+import socket
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,32 +10,45 @@ from pathlib import Path
 
 import pytest
 
-from tests.transport.test_zenoh import free_port
-
 VARIABLE = "MANIPLE_ARDUROVER"
 HOME = (47.3977, 8.5456, 488.0)
 """Where it stands: latitude and longitude (degrees), altitude (m); looking east."""
+PARAMETERS = "WP_SPEED 2\nCRUISE_SPEED 1\nFS_THR_ENABLE 0\n"
+"""That nobody holds a remote control is no failure."""
 
 
 @contextmanager
 def ardurover(folder: Path) -> Iterator[int]:
-    """The TCP port of one that was just switched on, with parameters as delivered; it keeps them in `folder`.
-    Skips the test where there is none."""
-    given = shlex.split(os.environ.get(VARIABLE, ""))
-    if not given:
-        pytest.skip(f"no real ArduPilot Rover here: {VARIABLE} names none")
-    model = [] if "--model" in given else ["--model", "rover"]
-    port = free_port()
+    """The TCP port of one that was just switched on; its files are in `folder`. Skips the test where there is
+    none."""
+    binary = os.environ.get(VARIABLE)
+    if not binary:
+        pytest.skip(f"{VARIABLE} names no ArduPilot Rover: not tried on firmware")
+    parameters = folder / "rover.parm"
+    parameters.write_text(PARAMETERS)
+    instance = free_instance()
     place = ",".join(map(str, (*HOME, 90)))
-    command = [*given, *model, "--wipe", "--home", place, "--base-port", str(port)]
+    command = [binary, "-w", "-M", "rover", "--home", place, "-I", str(instance), "--defaults", parameters]
     with (folder / "ardurover.log").open("w") as log:
-        process = subprocess.Popen(command, cwd=folder, stdout=log, stderr=subprocess.STDOUT)
+        process = subprocess.Popen(
+            command, cwd=folder, stdout=log, stderr=log, stdin=subprocess.DEVNULL, start_new_session=True
+        )
         try:
-            yield port
+            yield 5760 + 10 * instance
         finally:
-            process.terminate()
-            try:
-                process.wait(10.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            process.kill()
+            process.wait()
+
+
+def free_instance() -> int:
+    """Of its simulator: the ports from 5760 + 10 times that on are free."""
+    for instance in range(50, 400):
+        base = 5760 + 10 * instance
+        try:
+            for port in (base, base + 2, base + 3):
+                with socket.create_server(("127.0.0.1", port)):
+                    pass
+        except OSError:
+            continue
+        return instance
+    raise AssertionError("no free ports")
