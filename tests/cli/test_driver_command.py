@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from maniple.cli import driver_command
+from maniple.cli.loading import load
 from maniple.cli.main import main
 from maniple.cli.program import app
 from maniple.core.time import SECOND, Duration, Time
@@ -184,11 +185,11 @@ def test_bad_input_is_one_message(
 
 def test_what_a_preflight_check_would_miss(scene: Path) -> None:
     seen = conformance.Look("configured", "a pilot has it", 1.0, 20.0, 0.0, None, {})
-    scenario = driver_command.load(scene)
+    scenario = load(scene)
     robot = scenario.robots[2]
     missing = list(driver_command._missing(scenario, robot, "paper", seen))
     assert missing == ["localised: it does not say how it moves"]
-    guarded = driver_command.load(scene, ["guard.clearance=true"])
+    guarded = load(scene, ["guard.clearance=true"])
     missing = list(driver_command._missing(guarded, robot, "paper", seen))
     assert missing[1] == "sees: no ranges have come, and its own layers go by them"
 
