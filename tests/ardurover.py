@@ -1,5 +1,5 @@
-"""ArduPilot Rover's own firmware, where the environment variable MANIPLE_ARDUROVER names a binary of it that was
-built for its simulator (SITL)."""
+"""ArduPilot Rover's own firmware, where the environment variable MANIPLE_ARDUROVER names a binary of it that
+was built for its simulator (SITL)."""
 
 import os
 import socket
@@ -28,7 +28,8 @@ def ardurover(folder: Path) -> Iterator[int]:
     parameters.write_text(PARAMETERS)
     instance = free_instance()
     place = ",".join(map(str, (*HOME, 90)))
-    command = [binary, "-w", "-M", "rover", "--home", place, "-I", str(instance), "--defaults", parameters]
+    options = {"-M": "rover", "--home": place, "-I": str(instance), "--defaults": str(parameters)}
+    command = [binary, "-w", *(word for option in options.items() for word in option)]
     with (folder / "ardurover.log").open("w") as log:
         process = subprocess.Popen(
             command, cwd=folder, stdout=log, stderr=log, stdin=subprocess.DEVNULL, start_new_session=True
