@@ -33,12 +33,24 @@ version = "1.0"
 [project.entry-points."maniple.drivers"]
 paper = "paper_robot:PaperRobot"
 choosy = "choosy_robot:ChoosyRobot"
+stuck = "stuck_robot:StuckRobot"
 """
 
 CHOOSY = """
 class ChoosyRobot:
     def __init__(self, scenario, robot, endpoint=""):
         raise ValueError("no such colour")
+"""
+
+STUCK = """
+import time
+from paper_robot import PaperRobot
+
+class StuckRobot(PaperRobot):
+    def take(self, step, now):
+        if step == "configure":
+            time.sleep(1000)
+        super().take(step, now)
 """
 
 MARGIN_S = 0.3
@@ -48,7 +60,8 @@ MARGIN_S = 0.3
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The guide's package and scenario."""
-    install(tmp_path, monkeypatch, PROJECT, paper_robot=block("paper_robot.py"), choosy_robot=CHOOSY)
+    modules = {"paper_robot": block("paper_robot.py"), "choosy_robot": CHOOSY, "stuck_robot": STUCK}
+    install(tmp_path, monkeypatch, PROJECT, **modules)
     write(tmp_path, block("on-paper.toml") + "preflight.enabled = false\n", "on-paper.toml")
     return tmp_path
 
@@ -68,7 +81,7 @@ def test_the_guides_driver_is_found_and_only_what_is_named_is_imported(folder: P
         (
             "robots.r3.driver=magic",
             "robots.r3.driver = 'magic': no such driver is installed; "
-            "there are choosy, mavlink, paper, ros2, simulator",
+            "there are choosy, mavlink, paper, ros2, simulator, stuck",
         ),
         ("robots.r3.scans=magic", "robots.r3.scans = 'magic': no such driver is installed"),
         ("robots.r3.options.u_max_mps=7.0", "robots.r3.options.u_max_mps = 7.0: must be > 0 and <= 2"),
@@ -164,6 +177,17 @@ def test_a_driver_by_hand_and_its_end(folder: Path) -> None:
         assert ended(process) == (0, "")
         assert motions[-1].twist == (0.0, 0.0, 0.0)
         assert motions[-1].state == "active", "it was watched until it stood"
+        eventually(lambda: session.lives("r3-driver") == ())
+
+
+@pytest.mark.slow
+def test_a_driver_that_does_not_return_takes_its_process_with_it(folder: Path) -> None:
+    scene = (folder / "on-paper.toml").read_text().replace('driver = "paper"', 'driver = "stuck"')
+    write(folder, scene, "on-paper.toml")
+    with routed(folder) as (platoon, session):
+        process = driver(platoon, folder, "r3")
+        eventually(lambda: session.lives("r3-driver"))
+        assert ended(process) == (1, "r3-driver: the driver has not returned for 5 s\n")
         eventually(lambda: session.lives("r3-driver") == ())
 
 

@@ -100,12 +100,17 @@ class Router:
 
 
 class Process:
-    def __init__(self, place: Place, bench: Bench, life: int, name: str, **options: Any) -> None:
+    def __init__(
+        self, place: Place, bench: Bench, life: int, name: str, fleet_at: str = "", **options: Any
+    ) -> None:
         self.made: list[Bench] = []
         self.outcome: list[BaseException | None] = []
         self._first = bench
         robot = place.scenario.robots[0]
-        fleet, hardware = (ZenohSession.client(place.endpoint, "maniple") for _ in range(2))
+        fleet, hardware = (
+            ZenohSession.client(endpoint, "maniple")
+            for endpoint in (fleet_at or place.endpoint, place.endpoint)
+        )
         self._sessions = fleet, hardware
         self.host = DriverHost(
             self._make, robot, name, life, place.scenario, place.clock, fleet, hardware, **options
@@ -203,6 +208,16 @@ def test_without_its_router_too_and_it_goes_on_when_that_is_back(place: Place) -
     assert process.made == [bench]
     assert eventually(lambda: place.agent.lives("r1-driver")) == (1,)
     assert codec.decode(topics.PLAN, eventually(lambda: place.agent.ask(topics.PLAN))[topics.PLAN]) == plan
+
+
+def test_without_the_fleet_network_it_does_what_its_agent_says(place: Place) -> None:
+    elsewhere = f"tcp/127.0.0.1:{free_port()}"
+    with ZenohSession.router(elsewhere, "maniple") as fleet:
+        process = driving(place, fleet_at=elsewhere)
+        assert eventually(lambda: fleet.lives("r1-driver")) == (1,)
+    bench, told = process.bench, len(process.bench.told)
+    place.drive_until(lambda: len(writes(bench)) > 20 and bench.velocity.u == 0.2, u=0.2)
+    assert ("stop", None) not in bench.told[told:]
 
 
 def test_asked_to_end_it_lets_the_robot_stand_deactivates_and_closes(place: Place) -> None:
