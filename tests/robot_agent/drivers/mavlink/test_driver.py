@@ -170,10 +170,10 @@ def test_from_closed_to_driving_and_back(make_scenario: MakeScenario, stack: Exi
     assert driver.answers()["link"] == "0 bad, 0 lost, 0 not sent"
     driver.take("deactivate", time.monotonic_ns())
     eventually(lambda: driver.read(time.monotonic_ns()) is None or driver.state == "configured", 10.0)
-    assert abs(rover.drive.u_mps) < 0.1
+    eventually(lambda: driver.read(time.monotonic_ns()) is None or abs(rover.drive.u_mps) < 0.01, 10.0)
     driver.take("close", time.monotonic_ns())
-    eventually(lambda: driver.read(time.monotonic_ns()) is None or driver.state == "closed", 2.0)
-    eventually(lambda: not rover.drive.active, 2.0)  # it is disarmed
+    eventually(lambda: driver.read(time.monotonic_ns()) is None or driver.state == "closed", 10.0)
+    eventually(lambda: not rover.drive.active, 10.0)  # it is disarmed
 
 
 def test_a_vehicle_that_is_switched_off_and_on_again(make_scenario: MakeScenario, stack: ExitStack) -> None:
@@ -186,7 +186,7 @@ def test_a_vehicle_that_is_switched_off_and_on_again(make_scenario: MakeScenario
     rover = presented(stack, scenario)
     reached(driver, "configured")
     rover.close()
-    eventually(lambda: driver.read(time.monotonic_ns()) is None or driver.state == "fault", 5.0)
+    eventually(lambda: driver.read(time.monotonic_ns()) is None or driver.state == "fault", 10.0)
     assert driver.reason
     driver.take("close", time.monotonic_ns())
     presented(stack, scenario)
@@ -219,6 +219,8 @@ def test_noise_on_the_line_is_counted(make_scenario: MakeScenario, stack: ExitSt
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as noise:
         for index in range(200):
             noise.sendto(bytes([index]) * 40, ("127.0.0.1", port))
-    eventually(lambda: driver.read(time.monotonic_ns()) is None or "200 bad" in driver.answers()["link"], 5.0)
+    eventually(
+        lambda: driver.read(time.monotonic_ns()) is None or "200 bad" in driver.answers()["link"], 10.0
+    )
     assert driver.state == "connected"
     driver.take("close", time.monotonic_ns())
