@@ -202,11 +202,19 @@ def _tried(
     factory = drivers_of(scenario, (robot,))[name]
     able = factory(scenario, robot, endpoint).capabilities
     say.line(f"can    {_short(able)}")
-    rig = conformance.WallRig()
+    rig, scans_only = conformance.WallRig(), name != robot.driver
     findings: list[Finding] = []
     with on_interrupt(_interrupt):
         say.line(f"       waits for its vehicle, at most {patience_s:g} s")
-        seen = conformance.look(factory, scenario, robot.id, rig, endpoint=endpoint, patience_s=patience_s)
+        seen = conformance.look(
+            factory,
+            scenario,
+            robot.id,
+            rig,
+            endpoint=endpoint,
+            patience_s=patience_s,
+            scans_only=scans_only,
+        )
         say.look(seen)
         missing = list(_missing(scenario, robot, name, seen))
         for line in missing:
@@ -220,6 +228,7 @@ def _tried(
                 endpoint=endpoint,
                 moves=live,
                 patience_s=patience_s,
+                scans_only=scans_only,
                 told=say.finding,
             )
     kept = sum(finding.holds for finding in findings)

@@ -154,6 +154,7 @@ def check(
     endpoint: str = "",
     moves: bool = True,
     patience_s: float = PATIENCE_S,
+    scans_only: bool = False,
     properties: Sequence["Property"] = (),
     told: Callable[[Finding], None] = lambda _: None,
 ) -> list[Finding]:
@@ -161,14 +162,15 @@ def check(
     a resolved scenario; and what has to hold in every call.
 
     With `moves` the vehicle is driven: about 2 m ahead and back, in arcs. Without, it is never activated, and
-    never told another velocity than zero. `told` hears of each finding at once.
+    never told another velocity than zero. `told` hears of each finding at once. With `scans_only` it is one
+    that brings the scans of a robot that another one drives.
 
     Raises:
         ScenarioError: the driver refuses the robot's parameters.
     """
     chosen = next(one for one in scenario.robots if one.id == robot)
     factory(scenario, chosen, endpoint)
-    suite = _Suite(lambda: factory(scenario, chosen, endpoint), scenario, chosen, rig, patience_s)
+    suite = _Suite(lambda: factory(scenario, chosen, endpoint), scenario, chosen, rig, patience_s, scans_only)
     findings = []
     for finding in suite.findings(properties or PROPERTIES, moves):
         told(finding)
@@ -202,15 +204,17 @@ def look(
     *,
     endpoint: str = "",
     patience_s: float = PATIENCE_S,
+    scans_only: bool = False,
 ) -> Look:
     """Connect the driver of `robot` (its id) and configure it, listen for three seconds, and close it again.
-    It is not activated, and told no velocity.
+    It is not activated, and told no velocity. With `scans_only` it is one that brings the scans of a robot
+    that another one drives.
 
     Raises:
         ManipleError: it can't be connected at all.
     """
     chosen = next(one for one in scenario.robots if one.id == robot)
-    suite = _Suite(lambda: factory(scenario, chosen, endpoint), scenario, chosen, rig, patience_s)
+    suite = _Suite(lambda: factory(scenario, chosen, endpoint), scenario, chosen, rig, patience_s, scans_only)
     began, why = rig.now(), ""
     with suite.bench() as bench:
         try:
@@ -322,7 +326,7 @@ class _Bench:
 
     def __init__(self, suite: "_Suite") -> None:
         self._rig, self._always, self._patience_s = suite.rig, suite.always, suite.patience_s
-        self._wheels, self._able = suite.wheels, suite.able
+        self._wheels, self._able, self._scans_only = suite.wheels, suite.able, suite.scans_only
         self.driver = suite.make()
         self.order: Drive | None = None
         """What is written in every turn, clipped as the process does; None: nothing."""
@@ -332,6 +336,7 @@ class _Bench:
         """What was reported, with when."""
         self.scans = 0
         self._valued: tuple[Time, Motion] | None = None
+        self._scanned: Time | None = None
         self._reckoning = Reckoning()
         self._asked: Step | None = None
         self._asked_at: Time = 0
@@ -356,7 +361,7 @@ class _Bench:
             if isinstance(report, Motion):
                 self._heard(report, now)
             else:
-                self.scans += 1
+                self.scans, self._scanned = self.scans + 1, now
         if self.order is not None:
             order = clipped(self.order, self._able)
             with self._always.timed("write"):
@@ -398,7 +403,8 @@ class _Bench:
         if active:
             self.tell()
         if not self.run(self._patience_s, self.controllable if active else self.heard):
-            what = "not controllable" if active else "has not said how its vehicle moves"
+            silent = f"has not said {'what it sees' if self._scans_only else 'how its vehicle moves'}"
+            what = "not controllable" if active else silent
             raise CounterexampleError(
                 f"after {self._patience_s:g} s it is {self.driver.state}, but {what}: {self.reason()}"
             )
@@ -411,11 +417,13 @@ class _Bench:
         """What was reported."""
         self.motions.clear()
         self.scans = 0
-        self._valued = None
+        self._valued = self._scanned = None
 
     def heard(self) -> bool:
-        """Whether it has said how its vehicle moves, and recently."""
-        return self._valued is not None and self._rig.now() - self._valued[0] < from_seconds(FLIGHT_S)
+        """Whether it has said how its vehicle moves, or what it sees if it only does that, and recently."""
+        valued = None if self._valued is None else self._valued[0]
+        at = self._scanned if self._scans_only else valued
+        return at is not None and self._rig.now() - at < from_seconds(FLIGHT_S)
 
     def controllable(self) -> bool:
         """And that it is controllable."""
@@ -495,8 +503,10 @@ class _Suite:
         robot: Robot,
         rig: Rig,
         patience_s: float,
+        scans_only: bool,
     ) -> None:
         self.make, self.rig, self.robot, self.patience_s = make, rig, robot, patience_s
+        self.scans_only = scans_only
         model = scenario.model_of(robot)
         self.wheels = dead_reckoning.wheels_of(model)
         self.able = make().capabilities
@@ -506,7 +516,7 @@ class _Suite:
         self._u = self._next_u = u
         self._w = min(w, 0.8 * curvature_max(model) * u)
         self._v = min(U_MPS, 0.5 * self.able.v_max_mps)
-        self._scans = self.able.scan_hz > 0.0 and robot.scans in ("", robot.driver)
+        self._scans = self.able.scan_hz > 0.0 and (scans_only or robot.scans in ("", robot.driver))
 
     def findings(self, properties: Sequence["Property"], moves: bool) -> Iterator[Finding]:
         """What becomes of them, one after the other; then of what has to hold in every call."""
@@ -516,6 +526,8 @@ class _Suite:
 
     def tried(self, one: "Property", moves: bool) -> Finding:
         """Whether it holds."""
+        if one.moves and self.scans_only:
+            return Finding(one.name, left_out="it only brings scans")
         if one.moves and not moves:
             return Finding(one.name, left_out="it would move the vehicle")
         if lacking := sorted(set(one.needs) - set(self.rig.acts)):
@@ -596,8 +608,8 @@ class _Suite:
                 bench.bring("closed")
                 bench.forget()
                 bench.run(1.0)
-                if any(_has_values(motion) for _, motion in bench.motions):
-                    raise CounterexampleError("closed it goes on reporting how its vehicle moves")
+                if bench.scans or any(_has_values(motion) for _, motion in bench.motions):
+                    raise CounterexampleError("closed it goes on reporting")
 
     def rates(self) -> None:
         """Over three seconds."""
@@ -606,7 +618,7 @@ class _Suite:
             bench.forget()
             bench.run(_LISTEN_S)
             for what, count, hz in (
-                ("motion", len(bench.motions), self.able.motion_hz),
+                ("motion", len(bench.motions), 0.0 if self.scans_only else self.able.motion_hz),
                 ("scan", bench.scans, self.able.scan_hz if self._scans else 0.0),
             ):
                 if hz and not 0.5 * hz <= count / _LISTEN_S <= 1.5 * hz:
@@ -635,6 +647,8 @@ class _Suite:
             bench.run(FLIGHT_S)
             bench.forget()
             bench.run(3.0)
+            if bench.scans:
+                raise CounterexampleError(f"more than {FLIGHT_S:g} s after the cut it reports scans")
             for _, motion in bench.motions:
                 if _has_values(motion):
                     where = motion.ticks if motion.pose is None else motion.pose

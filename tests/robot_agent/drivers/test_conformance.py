@@ -14,7 +14,7 @@ from maniple.core.geometry import Pose
 from maniple.core.messages import Drive, DriverState, ExternalPose, Motion, Scan, pack_floats
 from maniple.core.scenario.types import Robot, Scenario
 from maniple.core.time import SECOND, Duration, Time, period, to_seconds
-from robot_agent.drivers.conformance import PROPERTIES, Act, WallRig, check
+from robot_agent.drivers.conformance import PROPERTIES, Act, WallRig, check, look
 from robot_agent.drivers.interface import LIFE_CYCLE, Capabilities, Step
 
 ALWAYS = (
@@ -229,6 +229,29 @@ def test_without_moving_it_is_never_activated(make_scenario: Callable[..., Scena
     assert "configure" in steps
 
 
+class Laser(Good):
+    """Brings scans only, ten a second."""
+
+    def read(self, now: Time) -> Sequence[Motion | Scan]:
+        return [report for report in super().read(now) if isinstance(report, Scan)]
+
+
+def test_one_that_only_brings_scans_is_never_activated(make_scenario: Callable[..., Scenario]) -> None:
+    rig = Cart()
+    found = check(lambda *_: Laser(rig), make_scenario(), "r1", rig, scans_only=True)
+    assert {finding.name for finding in found if not finding.holds} == {
+        one.name for one in PROPERTIES if one.moves
+    }
+    assert {finding.left_out for finding in found if not finding.holds} == {"it only brings scans"}
+    seen = look(lambda *_: Laser(rig), make_scenario(), "r1", rig, scans_only=True)
+    assert (seen.state, seen.reason, seen.motion) == ("configured", "", None)
+    assert seen.scan_hz == pytest.approx(10.0, rel=0.1)
+    rig.linked = False
+    seen = look(lambda *_: Laser(rig), make_scenario(), "r1", rig, scans_only=True, patience_s=2.0)
+    assert (seen.state, seen.scan_hz) == ("closed", 0.0)
+    assert seen.reason == "after 2 s it is closed, and should be configured: nobody answers"
+
+
 def test_what_the_rig_can_not_do_is_left_out(make_scenario: Callable[..., Scenario]) -> None:
     rig = Cart()
     rig.acts = ("cut", "restore")
@@ -311,6 +334,11 @@ class Slow(Good):
 class Blind(Good):
     def read(self, now: Time) -> Sequence[Motion | Scan]:
         return [report for report in super().read(now) if isinstance(report, Motion)]
+
+
+class Remembering(Good):
+    def read(self, now: Time) -> Sequence[Motion | Scan]:
+        return super().read(now) or ([SCAN] if self.state == "configured" and not self.cart.linked else [])
 
 
 class Repeating(Good):
@@ -531,6 +559,7 @@ FLAWS: Sequence[tuple[type[Good], str, str]] = [
     (Slow, "reports as often as it promises", "motion: 2.7 /s; it promises 20"),
     (Blind, "reports as often as it promises", "scan: 0.0 /s; it promises 10"),
     (Repeating, "says nothing while its vehicle does", "more than 0.5 s after the cut it reports (0.0, 0.0"),
+    (Remembering, "says nothing while its vehicle does", "more than 0.5 s after the cut it reports scans"),
     (Hopeful, "says nothing while its vehicle does", "after the cut it reports that it is controllable"),
     (GivingUp, "comes back when its vehicle does", "after 3 s it is closed, and should be configured: not "),
     (Early, "moves nothing before it is active", "and applies u = 0.300 m/s"),
