@@ -107,13 +107,16 @@ def names_of(robot: Robot) -> RobotNames:
     Raises:
         ScenarioError: they have names that ROS 2 does not know.
     """
-    ros2 = robot.ros2
+    ros2, field = robot.ros2, ""
+    names = {"namespace": f"/{(ros2.namespace or robot.id).lstrip('/')}"}
+    names |= {name: getattr(ros2, name) for name in ("cmd_vel", "odom", "scan")}
     try:
-        namespace = absolute(f"/{(ros2.namespace or robot.id).lstrip('/')}")
-        cmd_vel, odom, scan = (absolute(name, namespace) for name in (ros2.cmd_vel, ros2.odom, ros2.scan))
+        for field, name in names.items():
+            names[field] = absolute(name, names["namespace"])
     except ArgumentError as error:
-        raise ScenarioError(f"robots: {robot.id}: ros2: {error}") from None
-    return RobotNames(namespace, cmd_vel, odom, scan)
+        default = "" if field != "namespace" or ros2.namespace else ", by default the robot's id"
+        raise ScenarioError(f"robots: {robot.id}: ros2.{field}{default}: {error}") from None
+    return RobotNames(**names)
 
 
 def absolute(name: str, namespace: str = "/") -> str:

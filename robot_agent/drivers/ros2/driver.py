@@ -64,6 +64,7 @@ class Ros2Driver:
         self._asked: Step | None = None
         self._trouble = ""
         self._link: RobotLink | None = None
+        self._failure = ""
         self._begin()
 
     def _begin(self) -> None:
@@ -76,7 +77,8 @@ class Ros2Driver:
         self._frames = ("", "")
         self._other: Time | None = None
         self._refused: Counter[str] = Counter()
-        self._why = ""
+        self._why: dict[str, str] = {}
+        self._why_at: Time = 0
         self._applied = _STANDING
         self._may_move = False
         self._told: tuple[DriverState, str] | None = None
@@ -168,8 +170,10 @@ class Ros2Driver:
         if topics.scans:
             answers["scan"] = _topic(topics.scan, ros.entities("MP", topics.scan), self._scanned)
         if refused := self._refusals(joined):
-            answers["refused"] = ", ".join(f"{count} {what}" for what, count in sorted(refused.items()))
-            answers["refused last"] = self._why
+            answers["refused"] = "; ".join(
+                f"{count} on {topic} {self._why.get(topic, '')}".rstrip()
+                for topic, count in sorted(refused.items())
+            )
         return {what: said for what, said in answers.items() if said}
 
     def _connect(self) -> None:
@@ -179,6 +183,7 @@ class Ros2Driver:
         if not self._endpoint:
             raise RunError(f"{self._robot}: robots.ros2.router: no router is known, as tcp/192.168.1.12:7447")
         self._begin()
+        self._failure = "" if self._link is None else self._link.failure
         node = "maniple_" + re.sub(r"[^A-Za-z0-9]+", "_", self._robot)
         network = Network(self._ros2.layout, self._ros2.domain_id)
         self._link = RobotLink(self._endpoint, network, node, self._topics)
@@ -222,7 +227,7 @@ class Ros2Driver:
         link = self._link
         if link is None or link.failure or link.joined is None:
             failure = link.failure if link is not None else ""
-            return failure or f"connects to the ROS 2 router at {self._endpoint}"
+            return failure or self._failure or f"connects to the ROS 2 router at {self._endpoint}"
         if not link.connected:
             return f"the ROS 2 router at {self._endpoint} is gone"
         ros, topics = link.joined.ros, self._topics
@@ -257,8 +262,8 @@ class Ros2Driver:
         return f"{topics.odom} comes {rate:.0f} times a second; rates.motion_hz needs {least:g} or more"
 
     def _silence(self, joined: Joined, topic: str, kind: str) -> str:
-        if unfit := sum(self._refusals(joined).values()):
-            return f"nothing on {topic} that can be used: {unfit} messages were refused {self._why}".rstrip()
+        if self._refusals(joined)[topic]:
+            return f"what comes on {topic} can't be used {self._why.get(topic, '')}".rstrip()
         types = {entity.type for entity in joined.ros.entities("MP", topic)} - {kind, ""}
         return f"no {kind} on {topic}" + (f", but {_some(types)}" if types else "")
 
@@ -281,15 +286,16 @@ class Ros2Driver:
         return self._other is not None and now - self._other < TAKEN_FOR
 
     def _hear_commands(self, commands: Heard, now: Time) -> None:
+        topic = self._topics.cmd_vel
         for message, _ in _drain(commands):
-            if self._judged("cmd_vel", partial(velocity_of, message)) is not None:
+            if self._judged(topic, partial(velocity_of, message), now) is not None:
                 self._other = now
 
     def _hear_odometry(self, heard: Heard, now: Time) -> tuple[Pose, Velocity3] | None:
         """The newest that counts. Where the odometry begins anew, the driver has to as well."""
         newest = None
         for message, origin in _drain(heard):
-            said = self._judged("odom", partial(pose_of, message))
+            said = self._judged(self._topics.odom, partial(pose_of, message), now)
             if said is None or self._state == "fault":
                 continue
             verdict = self._located.hear(origin.gid, now)
@@ -312,45 +318,46 @@ class Ros2Driver:
     def _hear_scans(self, heard: Heard, now: Time) -> Scan | None:
         newest = None
         for message, origin in _drain(heard):
-            scan = self._judged("scan", partial(scan_of, message, self._mount, self._ros2.unmeasured))
+            take = partial(scan_of, message, self._mount, self._ros2.unmeasured)
+            scan = self._judged(self._topics.scan, take, now)
             if scan is not None and self._scanned.hear(origin.gid, now) != "second":
                 newest = scan
         return newest if newest is not None and self._scan_pace.lets_pass(now) else None
 
-    def _judged(self, what: str, take: Callable[[], T]) -> T | None:
-        """What was heard, or None where it can't be used."""
+    def _judged(self, topic: str, take: Callable[[], T], now: Time) -> T | None:
+        """What was heard, or None where it can't be used: why, is remembered once a second."""
         try:
             return take()
         except MessageError as error:
-            self._refused[what] += 1
-            self._why = f"({error})"
+            self._refused[topic] += 1
+            if topic not in self._why or now - self._why_at >= SECOND:
+                self._why[topic], self._why_at = f"({error})", now
             return None
 
     def _refusals(self, joined: Joined) -> Counter[str]:
-        """How many messages could not be used, by what they were to be."""
+        """How many messages could not be used, by topic."""
         counts = self._refused.copy()
-        for what, subscription in joined.subscriptions.items():
-            counts[what] += subscription.bad + subscription.other
+        for subscription in joined.subscriptions:
+            counts[subscription.topic] += subscription.bad + subscription.other
         return +counts
 
     def _motion(self, located: tuple[Pose, Velocity3] | None) -> Motion | None:
-        """A report: with where the robot is, or where that is not known and something has changed without."""
+        """A report: with where the robot is, or without, of why it can't be controlled, if that is new."""
         if not self._topics.drives:
             return None
         status = (self._state, self._trouble)
-        if located is None and status == self._told:
+        if located is None and (not self._trouble or status == self._told):
             return None
         self._told = status
         u, w, v = self._applied
-        controllable = located is not None and not self._trouble
         pose, twist = located or (None, Velocity3(0.0, 0.0, 0.0))
         return Motion(
             ticks=(),
             applied=(u, w),
             applied_v_mps=v,
             state=self._state,
-            controllable=controllable,
-            reason=self._trouble or ("" if controllable else f"waits for {self._topics.odom}"),
+            controllable=not self._trouble,
+            reason=self._trouble,
             pose=None if pose is None else (pose.x, pose.y, pose.psi),
             twist=(twist.u, twist.w, twist.v),
         )

@@ -43,8 +43,7 @@ class Joined(NamedTuple):
     """What there is once the session is open."""
 
     ros: RosSession
-    subscriptions: dict[str, RosSubscription]
-    """By what they hear: "odom", "scan", "cmd_vel"."""
+    subscriptions: tuple[RosSubscription, ...]
     velocities: RosPublisher | None
 
 
@@ -107,16 +106,18 @@ class RobotLink:
         ros.close()
 
     def _join(self, ros: RosSession) -> Joined:
-        topics, subscriptions, velocities = self._topics, {}, None
+        topics, velocities = self._topics, None
+        subscriptions: list[RosSubscription] = []
         if topics.drives:
-            subscriptions["odom"] = ros.subscribe(topics.odom, ODOMETRY, _into(self.odometries), SENSOR_DATA)
-            subscriptions["cmd_vel"] = ros.subscribe(
-                topics.cmd_vel, topics.velocity_type, _into(self.commands), announced=False
+            taken, commands = topics.velocity_type, _into(self.commands)
+            subscriptions += (
+                ros.subscribe(topics.odom, ODOMETRY, _into(self.odometries), SENSOR_DATA),
+                ros.subscribe(topics.cmd_vel, taken, commands, announced=False),
             )
-            velocities = ros.advertise(topics.cmd_vel, topics.velocity_type, Qos(depth=1))
+            velocities = ros.advertise(topics.cmd_vel, taken, Qos(depth=1))
         if topics.scans:
-            subscriptions["scan"] = ros.subscribe(topics.scan, LASER_SCAN, _into(self.scans), SENSOR_DATA)
-        return Joined(ros, subscriptions, velocities)
+            subscriptions.append(ros.subscribe(topics.scan, LASER_SCAN, _into(self.scans), SENSOR_DATA))
+        return Joined(ros, tuple(subscriptions), velocities)
 
 
 def _into(heard: Heard) -> Callable[[Any, Attachment], None]:

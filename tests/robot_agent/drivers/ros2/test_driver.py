@@ -2,6 +2,7 @@
 
 import math
 import random
+import re
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -195,6 +196,14 @@ def test_no_router_is_told_and_tried_again(endpoint: str) -> None:
     bench.says("can't reach a router")
     assert bench.driver.state == "closed"
     bench.take("connect")
+    bench.turn()
+    assert "can't reach a router" in bench.driver.reason
+
+
+def test_a_robot_whose_id_ros_2_does_not_know_needs_a_namespace() -> None:
+    scenario, robot = scene()
+    with pytest.raises(ScenarioError, match=r"r-2: ros2\.namespace, by default the robot's id: '/r-2' is no"):
+        Ros2Driver(scenario, msgspec.structs.replace(robot, id="r-2"))
 
 
 def test_without_any_router_to_connect_to_it_says_where_to_name_it() -> None:
@@ -363,7 +372,7 @@ def test_odometry_that_is_none_is_refused_and_told(bench: Bench) -> None:
     bench.robot.pose = Pose(math.nan, 0.0, 0.0)
     bench.says("the position (nan, 0) is none")
     assert not bench.motions[-1].controllable
-    assert "odom" in bench.driver.answers()["refused"]
+    assert "on /r2/odom (the position (nan, 0) is none)" in bench.driver.answers()["refused"]
 
 
 def test_it_tells_what_the_robot_shows(bench: Bench, endpoint: str) -> None:
@@ -383,13 +392,13 @@ def test_it_tells_what_the_robot_shows(bench: Bench, endpoint: str) -> None:
 @pytest.mark.parametrize(
     ("extra", "said"),
     [
-        ("ros2 = { cmd_vel = 'cmd vel' }", "'cmd vel' is no ROS 2 name"),
-        ("ros2 = { namespace = 'robot-2' }", "'/robot-2' is no ROS 2 name"),
-        ("ros2 = { odom = '' }", "'' is no ROS 2 name"),
+        ("ros2 = { cmd_vel = 'cmd vel' }", "cmd_vel: 'cmd vel' is no ROS 2 name"),
+        ("ros2 = { namespace = 'robot-2' }", "namespace: '/robot-2' is no ROS 2 name"),
+        ("ros2 = { odom = '' }", "odom: '' is no ROS 2 name"),
     ],
 )
 def test_names_that_ros_2_does_not_know_are_refused(extra: str, said: str) -> None:
-    with pytest.raises(ScenarioError, match=f"robots: r2: ros2: {said}"):
+    with pytest.raises(ScenarioError, match=rf"robots: r2: ros2\.{said}"):
         Bench("", extra)
 
 
@@ -496,9 +505,12 @@ def test_ten_thousand_corrupted_messages_are_counted_and_move_nothing(layout: La
                 bench.turn()
         bench.until(lambda: peer.vehicle.refused > 1_000)
         bench.turns(80)
-        refused = bench.driver.answers()["refused"].split(", ")
-        assert min(int(count.split()[0]) for count in refused) > 500
-        assert len(refused) == 3
+        refused = {
+            topic: int(count)
+            for count, topic in re.findall(r"(\d+) on ([^\s;]+)", bench.driver.answers()["refused"])
+        }
+        assert refused.keys() == {f"/r2/{topic}" for topic in good}
+        assert min(refused.values()) > 500
         assert peer.pose == where
         assert peer.order == Drive(u_mps=0.0, w_radps=0.0, active=False)
         # Forged odometry that could be decoded is a reason to begin anew.
