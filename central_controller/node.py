@@ -214,7 +214,7 @@ class CentralController:
         if self._gathering:
             return "the controller was started again"
         if (left := len(self._roster.active)) < LEAST:
-            return f"{left} robots are left; a formation needs {LEAST}"
+            return "; ".join((f"{left} robots are left; a formation needs {LEAST}", *self._roster.kept_out()))
         if faults := self._faults:
             return "; ".join(faults)
         return "told to hold" if self._told_to_hold else ""

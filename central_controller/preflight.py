@@ -36,7 +36,7 @@ emergency stop stands; it has stood by one, and was armed again."""
 _OF_THE_DRIVE = (LOCALISED, START, RANGES, TESTED)
 """What may hold by itself once the drive is under control."""
 
-UNTESTED = "its emergency stop was not tested: maniple preflight does that"
+UNTESTED = "its emergency stop was not tested: "
 
 _STALE_PERIODS = 2.5
 """A robot that has not said how it is twice says nothing about now."""
@@ -81,7 +81,7 @@ class Preflight:
             member.lacks = ""
             if begun and not member.lost and member.passed == member.incarnation:
                 continue
-            lines = tuple(self._lines(member, needed_mps, anywhere or begun, now))
+            lines = tuple(self._lines(member, needed_mps, anywhere or begun, begun, now))
             member.lacks = "; ".join(line.why for line in lines if line.holds is False)
             if begun and not member.lacks:
                 member.passed = member.incarnation
@@ -94,7 +94,9 @@ class Preflight:
         for member in self._members:
             member.passed = member.incarnation
 
-    def _lines(self, member: Member, needed_mps: float, anywhere: bool, now: Time) -> Iterator[Check]:
+    def _lines(
+        self, member: Member, needed_mps: float, anywhere: bool, begun: bool, now: Time
+    ) -> Iterator[Check]:
         """Every line of one robot; what can't be known before another line holds is None."""
         items = [item for item in ITEMS if not self._left_out(item, anywhere)]
         status = self._status(member, now)
@@ -103,7 +105,7 @@ class Preflight:
             why = "it has not said how it is" if there else "its agent is not there"
             known = {THERE: "" if there else why, **({HEARD: why} if there else {})}
         else:
-            known = {THERE: "", HEARD: "", **self._said(member, status, needed_mps, now)}
+            known = {THERE: "", HEARD: "", **self._said(member, status, needed_mps, begun, now)}
         for item in items:
             why_not = known.get(item)
             yield Check(member.id, item, None if why_not is None else not why_not, why_not or "")
@@ -118,16 +120,21 @@ class Preflight:
             return None
         return status if now - member.status_at <= self._status_stale else None
 
-    def _said(self, member: Member, status: Status, needed_mps: float, now: Time) -> dict[str, str]:
+    def _said(
+        self, member: Member, status: Status, needed_mps: float, begun: bool, now: Time
+    ) -> dict[str, str]:
         """Why each item does not hold, by what the robot says of itself; empty where it does."""
         stopped = status.mode == "emergency"
+        untested = UNTESTED + (
+            "maniple stop, then maniple arm, do that" if begun else "maniple preflight does that"
+        )
         found = {
             SCENARIO: self._other_scenario(status),
             CONTROLLABLE: _uncontrolled(status),
             LOCALISED: _lost_its_way(member, status, now),
             LIMITS: _too_slow(status, needed_mps),
             RELEASED: f"{status.reason or 'an emergency stop'}: maniple arm releases it" if stopped else "",
-            TESTED: "" if status.estop_tested else UNTESTED,
+            TESTED: "" if status.estop_tested else untested,
             RANGES: self._blind(member, status, now),
         }
         if not found[LOCALISED]:

@@ -380,6 +380,12 @@ class Roster:
         causes = {member.id: member.cause(now) for member in self.active if member.lacks or not lacking}
         return {name: cause for name, cause in causes.items() if cause}
 
+    def kept_out(self) -> list[str]:
+        """What each lost robot lacks of the pre-flight check, in a line."""
+        return [
+            f"{member.id} is lost: {member.lacks}" for member in self.members if member.lost and member.lacks
+        ]
+
 
 def bearable(scenario: Scenario) -> dict[str, AgeLimits]:
     """How old the commands of each robot of a resolved scenario may be."""

@@ -36,6 +36,8 @@ class RobotState(msgspec.Struct, frozen=True):
     round_trip_s: float
     reason: str
     """Why it is not tracking."""
+    lacks: str = ""
+    """What it lacks of the pre-flight check."""
 
 
 class LinkState(msgspec.Struct, frozen=True):
@@ -119,7 +121,9 @@ def state_of(
         stop_reason=said.reason if said is not None and said.stopped else "",
         faults=faults,
         robots=tuple(
-            _robot(name, known.alive.get(name, ()), reports.get(name), heard.get(topics.status(name)))
+            _robot(
+                name, known.alive.get(name, ()), reports.get(name), heard.get(topics.status(name)), formation
+            )
             for name in known.robots
         ),
         links=tuple(_links(heard)),
@@ -127,7 +131,14 @@ def state_of(
     )
 
 
-def _robot(name: str, lives: tuple[int, ...], report: RobotReport | None, said: Message | None) -> RobotState:
+def _robot(
+    name: str,
+    lives: tuple[int, ...],
+    report: RobotReport | None,
+    said: Message | None,
+    formation: FormationState | None,
+) -> RobotState:
+    checks = () if formation is None else formation.preflight
     own = said if isinstance(said, Status) else None
     return RobotState(
         id=name,
@@ -142,6 +153,7 @@ def _robot(name: str, lives: tuple[int, ...], report: RobotReport | None, said: 
         odometry_age_s=-1.0 if report is None else report.odometry_age_s,
         round_trip_s=-1.0 if report is None else report.round_trip_s,
         reason="" if own is None else own.reason,
+        lacks="; ".join(one.why for one in checks if one.robot == name and one.holds is False),
     )
 
 

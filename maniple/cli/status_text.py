@@ -150,6 +150,8 @@ def _why(robot: RobotState) -> str:
         said.append("does not know where it is")
     if robot.state not in ("", "present"):
         said.append(f"{robot.state} to the controller")
+    if robot.state == "lost" and robot.lacks:
+        said.append(f"lacks for the pre-flight check: {robot.lacks}")
     return "; ".join(said)
 
 

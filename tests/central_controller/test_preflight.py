@@ -297,7 +297,23 @@ def test_an_agent_that_lives_anew_is_not_commanded_before_it_has_passed() -> Non
     _, state = platoon.goes_on(35, anew)
     assert state.chain == ("r1", "r2", "r4")
     assert [r.state for r in state.roster] == ["present", "present", "lost", "present"]
+    platoon.how("r3", incarnation=2, estop_tested=False)
+    _, state = platoon.goes_on(1, anew)
+    assert {check.why for check in state.preflight if check.holds is False} == {
+        "its emergency stop was not tested: maniple stop, then maniple arm, do that"
+    }
     assert {check.robot for check in state.preflight} == {"r3"}
+    assert state.reason == ""
+    platoon.mode("r4", "fault")
+    platoon.goes_on(34, anew)
+    platoon.how("r3", incarnation=2, estop_tested=False)
+    _, state = platoon.goes_on(1, anew)
+    assert state.reason.startswith(
+        "2 robots are left; a formation needs 3; r3 is lost: its emergency stop was not tested: maniple stop"
+    )
+    platoon.how("r4", mode="tracking", reason="")
+    _, state = platoon.goes_on(12, anew)
+    assert state.chain == ("r1", "r2", "r4")
     platoon.how("r3", incarnation=2, mode="tracking", reason="")
     commands, state = platoon.goes_on(15, anew)
     assert set(commands) == set(platoon.ids)

@@ -18,6 +18,7 @@ from maniple.cli.status_text import pairs, picture
 from maniple.core import codec, topics
 from maniple.core.errors import RunError
 from maniple.core.messages import (
+    Check,
     EmergencyStop,
     FaultPlan,
     FormationState,
@@ -169,6 +170,19 @@ def test_what_is_wrong_with_a_robot_is_said_below_the_table() -> None:
     quiet = state_of("tcp/h:1", KNOWN, {}, formation(), None, fault_text.report(None, 0))
     assert "silent" in text(quiet)[4]
     assert text(quiet)[0] == "running, 12.3 of 60.0 s (as last heard) (tcp/h:1)"
+
+
+def test_what_a_lost_robot_lacks_is_told() -> None:
+    roster = (
+        RobotReport(id="r1", state="present", odometry_age_s=0.05, mode="tracking"),
+        RobotReport(id="r2", state="lost", odometry_age_s=0.05, mode="waiting"),
+    )
+    checks = (Check("r2", "heard", True), Check("r2", "stop tested", False, "its stop was not tested"))
+    shown = state(roster=roster, preflight=checks)
+    assert [robot.lacks for robot in shown.robots] == ["", "its stop was not tested"]
+    assert text(shown)[6] == "r2: lost to the controller; lacks for the pre-flight check: its stop was not"
+    present = state(preflight=checks)
+    assert "lacks" not in "".join(text(present)), "then the controller's reason tells it"
 
 
 def test_a_controller_that_never_was() -> None:
