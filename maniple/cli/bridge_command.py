@@ -10,6 +10,7 @@ from maniple.cli.interrupt import on_interrupt
 from maniple.cli.loading import load
 from maniple.cli.node_commands import LOCAL
 from maniple.cli.operator import Connect, Timeout, operator_session, require_endpoint
+from maniple.cli.scenario_commands import Seed, Set
 from maniple.core.errors import MissingExtraError, RunError, TransportError
 
 app = typer.Typer(help="Show a running platoon to other systems.", no_args_is_help=True)
@@ -36,6 +37,8 @@ def ros2(
         Literal["rmw_zenoh", "ros2dds"],
         typer.Option(help="How ROS 2 topics are named there: by rmw_zenoh, or by zenoh-bridge-ros2dds."),
     ] = "rmw_zenoh",
+    overrides: Set = None,
+    seed: Seed = None,
     timeout: Timeout = 10.0,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
 ) -> None:
@@ -58,7 +61,7 @@ def ros2(
 
     where = router or connect
     require_endpoint(where, "--router")
-    resolved = load(scenario)
+    resolved = load(scenario, overrides or (), seed)
     names = Names(resolved, namespace)
     network = Network(layout, domain_id)
     try:

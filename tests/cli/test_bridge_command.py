@@ -26,8 +26,10 @@ def bridge(*options: str) -> Result:
     return CliRunner().invoke(app, ["bridge", "ros2", *options])
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_shows_a_platoon_until_it_is_asked_to_end(number: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("number", "change"), [(signal.SIGINT, "seed=1"), (signal.SIGTERM, "guard.margin_m=0.07")]
+)
+def test_it_shows_a_platoon_until_it_is_asked_to_end(number: signal.Signals, change: str) -> None:
     log, endpoint = recorded(), f"tcp/127.0.0.1:{free_port()}"
     scene = log.with_name("drawn.toml")
     heard: list[Any] = []
@@ -37,19 +39,22 @@ def test_it_shows_a_platoon_until_it_is_asked_to_end(number: signal.Signals) -> 
         assert play.stderr is not None
         assert "plays" in play.stderr.readline()
         command: Sequence[str] = [*MANIPLE, "bridge", "ros2", str(scene), "--connect", endpoint, "--json"]
-        options = ["--domain-id", "3", "--namespace", "/fleet"]
+        options = ["--domain-id", "3", "--namespace", "/fleet", "--set", change]
         with subprocess.Popen(
             [*command, *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         ) as process:
             with RosSession.open(endpoint, "viewer", network=Network(domain_id=3)) as ros:
                 ros.subscribe("/fleet/r1/pose", "geometry_msgs/msg/PoseStamped", lambda m, _: heard.append(m))
-                eventually(lambda: len(heard) > 3, DEADLINE_S)
+                eventually(lambda: len(heard) > 30, DEADLINE_S)  # more than a second: a status, too
             process.send_signal(number)
             out, said = process.communicate(timeout=DEADLINE_S)
         play.send_signal(signal.SIGINT)
         play.wait(DEADLINE_S)
     assert process.returncode == 0
-    assert said == f"publishes the platoon at {endpoint} on {endpoint} (rmw_zenoh, domain 3) under /fleet\n"
+    first, *warnings = said.splitlines()
+    assert first == f"publishes the platoon at {endpoint} on {endpoint} (rmw_zenoh, domain 3) under /fleet"
+    assert bool(warnings) == (change != "seed=1")
+    assert all("runs another scenario than the one given here" in warning for warning in warnings)
     found = json.loads(out)
     assert found["told"] == sum(found["topics"].values()) > 0
     assert found["topics"]["/fleet/r1/pose"] >= len(heard)
