@@ -126,7 +126,7 @@ def test_flipped_bits_and_huge_payloads_reach_nobody_and_are_told(endpoint: str)
         mouth.put_raw(name, b"what was s\x00nt", crc_of(b"what was sent"))
         mouth.put_raw(name, b"nothing to check", None)
         mouth.put_raw(name, b"of another kind", bytes(33))
-        mouth.put_raw(name, bytes(MAX_BYTES + 1), crc_of(b""))
+        mouth.put_in_order(name, bytes(MAX_BYTES + 1))  # raw, a busy router may drop it
         mouth.put_raw(name, b"whole", crc_of(b"whole"))
         told = [heard.get(timeout=DEADLINE_S) for _ in range(5)]
     assert told == [
