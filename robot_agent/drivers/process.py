@@ -18,7 +18,7 @@ from maniple.core.errors import ManipleError, MessageError, ScenarioError
 from maniple.core.messages import Drive, ExternalPose, Motion, Scan
 from maniple.core.scenario.parse import short_digest
 from maniple.core.scenario.types import Robot, Scenario
-from maniple.core.time import Duration, Time, period
+from maniple.core.time import MILLISECOND, Duration, Time, period
 from maniple.host.clock import Anchor
 from maniple.host.edge import Membership
 from maniple.host.fate import Meet, meet, say
@@ -35,7 +35,9 @@ HANGS_S = 5.0
 """A driver that does not return for so long takes its process with it: others can do without it then."""
 _LOOK_S = 0.25
 _LATE_PERIODS = 2.5
-"""A driver that has not said how its robot moves for so many periods has its process say so."""
+_LATE: Duration = 400 * MILLISECOND
+"""A driver that has not said how its robot moves for so many periods, and so long, has its process say so. A
+radio that loses a report or two is no reason for a robot to stop."""
 
 
 class DriverHost:
@@ -151,7 +153,7 @@ class DriverHost:
         for report in self._driver.read(now):
             if isinstance(report, Motion):
                 self._standing.take(report, now)
-                self._overdue = now + round(_LATE_PERIODS * self._period)
+                self._overdue = now + max(round(_LATE_PERIODS * self._period), _LATE)
             self._say(report)
 
     def _act(self, now: Time) -> None:
