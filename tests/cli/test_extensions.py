@@ -86,7 +86,7 @@ def test_the_guides_example_stops_in_front_of_the_wall(wall: Path, tmp_path: Pat
     assert recorded.avoidance == Avoidance(law="slow-down", options={"stop_m": 0.6})
     left_out = ["avoidance.enabled=false"]
     hit = maniple.run(wall, virtual=True, duration_s=20.0, log=logs[2], overrides=left_out)
-    assert hit.collisions > 0, "nothing stops them without the layer"
+    assert hit.collisions, "nothing stops them without the layer"
 
 
 def test_options_that_can_not_be_used_are_refused_once_by_the_check() -> None:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -72,7 +73,7 @@ class Stage:
         self._scenario = folder / "scene.json"
         self._scenario.write_text(_scene())
 
-    def recorder(self, name: str, *options: object, **process: object) -> tuple[subprocess.Popen[str], Path]:
+    def recorder(self, name: str, *options: object, **process: Any) -> tuple[subprocess.Popen[str], Path]:
         """A recorder that has begun to write."""
         log = self.folder / f"{name}.mcap"
         arguments = ("--scenario", self._scenario, "--connect", self.endpoint, "--log", log, *options)
