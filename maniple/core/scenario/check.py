@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 
+from maniple.core.edges import WORLD
 from maniple.core.errors import ScenarioError
 from maniple.core.scenario import outline
 from maniple.core.scenario.check_faults import fault_problems, some
@@ -70,6 +71,8 @@ def _platoon(scenario: Scenario) -> Iterator[str]:
     for index, name in enumerate(ids):
         if name in RESERVED:
             yield f"robots[{index}].id = {name!r}: names a node; must be none of {', '.join(RESERVED)}"
+        if name == WORLD:
+            yield f"robots[{index}].id = {name!r}: names the world's frame; must be another"
         if (first := ids.index(name)) < index:
             yield f"robots[{index}].id = {name!r}: robots[{first}] has it already; must be unique"
     yield from _formation(scenario)

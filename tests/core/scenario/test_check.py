@@ -32,6 +32,7 @@ def test_a_sound_scenario_has_no_problems(data: Data) -> None:
             "robots[1].id = 'controller': names a node; must be none of controller, ",
         ),
         (["robots.1.id=router"], "robots[1].id = 'router': names a node"),
+        (["robots.1.id=world"], "robots[1].id = 'world': names the world's frame"),
         (
             ["robots.1.pose=[0.6, 0.3, 0]"],
             "robots[1].pose = [0.6, 0.3, 0.0]: r2 touches r1 (robots[0], pose ",
