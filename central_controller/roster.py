@@ -33,7 +33,7 @@ FORGIVEN_AFTER: Duration = 60 * SECOND
 """... unless it was there for this long in between."""
 
 
-_NUMBER = re.compile(r"(?<![A-Za-z_0-9])[0-9]+")
+_NUMBER = re.compile(r"(?<![\w.:/])(?<!system )(?<!component )[0-9]+(\.[0-9]+)?(?![\w:])")
 
 
 class AgeLimits(NamedTuple):
@@ -403,7 +403,8 @@ def waiting_for(causes: Mapping[str, str]) -> str:
 
 
 def without_figures(text: str) -> str:
-    """A text without its numbers, but with names like r2: the same for the same thing at another moment."""
+    """A text without its numbers, but with names like r2, addresses and ids: the same for the same thing at
+    another moment."""
     return _NUMBER.sub("", text)
 
 

@@ -449,3 +449,15 @@ def test_who_waits_for_something_of_his_own_is_told_of_by_himself() -> None:
     )
     both = {"r1": "it is 1.25 s old", "r2": "it is 10.5 s old"}
     assert waiting_for(both) == "waits for r1, r2: it is 1.25 s old"
+
+
+def test_robots_that_wait_for_other_vehicles_do_not_wait_for_the_same() -> None:
+    heard = "no heartbeat of system {0}, component 1 yet"
+    assert waiting_for({"r1": heard.format(1), "r2": heard.format(2)}).count("no heartbeat") == 2
+    at = "udpin:0.0.0.0:1455{0}: nobody has come yet"
+    assert waiting_for({"r1": at.format(1), "r2": at.format(2)}).count("nobody") == 2
+    fix = "GNSS: no fix, {0} satellites"
+    assert (
+        waiting_for({"r1": fix.format(0), "r2": fix.format(4)})
+        == "waits for r1, r2: GNSS: no fix, 0 satellites"
+    )
