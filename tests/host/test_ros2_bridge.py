@@ -7,6 +7,7 @@ from threading import Thread
 from typing import Any
 
 import pytest
+import zenoh_ros2_sdk
 from msgspec.structs import replace
 from rosbags.typesys import Stores, get_typestore
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile
@@ -115,6 +116,7 @@ def test_an_independent_node_hears_the_platoon() -> None:
             told = running.end()
         for subscriber in (first, second, third):
             subscriber.close()
+        zenoh_ros2_sdk.ZenohSession.get_instance().close()  # it keeps one session a process
     said = {one.x_m for _, one in run().of(Odometry, "robot/r1/odometry")}
     assert {one.pose.pose.position.x for one in odometry} <= said
     assert (odometry[0].header.frame_id, odometry[0].child_frame_id) == ("r1/odom", "r1/base_link")
