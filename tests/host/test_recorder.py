@@ -273,6 +273,7 @@ def test_a_disk_that_stands_still_holds_up_nobody(endpoint: str, tmp_path: Path)
             if seq % 200 == 0:
                 node.settle()  # faster, a busy network may drop some
         eventually(lambda: len(heard) == 2000)
+        eventually(lambda: [*other.ask(f"{BACKLOG}/*").values()] == [b"2046976"])  # 1999, each at least 1 KiB
         opened_ns = time.time_ns()
         goes.set()
     entries = [entry for entry in read(path).messages() if entry.topic == TOPIC]
