@@ -138,6 +138,15 @@ class Answering(Protocol):
         ...
 
 
+@runtime_checkable
+class Successor(Protocol):
+    """A driver whose vehicle others may take. The one before it knew who has it; that is lost with it."""
+
+    def succeed(self) -> None:
+        """There was another driver of this vehicle, and it is gone. Told before anything is asked of it."""
+        ...
+
+
 class DriverFactory(Protocol):
     """Makes the driver of a robot of a resolved scenario: what the entry points `maniple.drivers` name.
 

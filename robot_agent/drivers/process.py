@@ -26,7 +26,7 @@ from maniple.host.inbox import Arrived, Inbox, Item, Stop
 from maniple.host.inlets import Inlets
 from maniple.host.stamper import Stamper
 from maniple.transport.zenoh import ZenohSession
-from robot_agent.drivers.interface import Driver
+from robot_agent.drivers.interface import Driver, Successor
 from robot_agent.drivers.keeper import LATE, Halt, Keeper, Lateness, Standing, Take
 
 STEP_S = 0.01
@@ -57,7 +57,7 @@ class DriverHost:
         meet: Meet = meet,
     ) -> None:
         self._make = make
-        self._driver = make()
+        self._driver = make() if incarnation == 1 else self._make_next()
         self._name = name
         self._clock = clock
         self._hardware = hardware
@@ -195,7 +195,14 @@ class DriverHost:
             self._give_up()
             self._trouble = text
             self._keeper.failed(time.monotonic_ns())
-            self._driver = self._make()
+            self._driver = self._make_next()
+
+    def _make_next(self) -> Driver:
+        """A driver after another one."""
+        driver = self._make()
+        if isinstance(driver, Successor):
+            driver.succeed()
+        return driver
 
     def _give_up(self) -> None:
         """Stop the robot and let go of it, as far as the driver can."""

@@ -71,6 +71,7 @@ class MavlinkDriver:
             scan_hz=scenario.rates.scan_hz,
             ranges=NAME in (robot.scans, robot.driver if not robot.scans else ""),
         )
+        self._succeeds = False
         self._session: Session | None = None
         self._link: MavlinkLink | None = None
         self._refused = ""
@@ -90,6 +91,10 @@ class MavlinkDriver:
             return "; ".join(text for text in (link, said) if text)
         return said
 
+    def succeed(self) -> None:
+        """Who has the vehicle is not known: see `Session`."""
+        self._succeeds = True
+
     def take(self, step: Step, now: Time) -> None:
         """Begin a step.
 
@@ -98,7 +103,7 @@ class MavlinkDriver:
             ScenarioError: pymavlink or pyserial is not installed.
         """
         if self._session is None:
-            self._session = Session(_dialect(self._connection), self._setup)
+            self._session = Session(_dialect(self._connection), self._setup, self._succeeds)
         failed = self.state == "fault"
         self._session.take(step, now)
         if step == "connect" and self._link is None:

@@ -2,7 +2,8 @@
 
 A vehicle has one master. Whoever changes its mode or disarms it without having been asked for by this session
 has taken it: nothing that moves it is said any more until it is armed and in GUIDED again, which whoever took
-it sets. A vehicle that is found armed in another mode than GUIDED or HOLD is somebody's, too.
+it sets. A vehicle that is found armed in another mode than GUIDED or HOLD is somebody's, too. So is one that
+had another driver before, unless it is found as that left it: armed, in GUIDED.
 """
 
 import math
@@ -113,8 +114,9 @@ class Session:
     Call `receive` with what has arrived, then `advance`; `outbox` is what has to be sent after any call.
     """
 
-    def __init__(self, dialect: Any, setup: Setup) -> None:
-        """`dialect`: pymavlink's module of the messages."""
+    def __init__(self, dialect: Any, setup: Setup, succeeds: bool = False) -> None:
+        """`dialect`: pymavlink's module of the messages; `succeeds`: whether the vehicle had another driver
+        that was lost."""
         self.state: DriverState = "closed"
         self.reason = ""
         """Why it is not where it was asked to be, or not controllable; empty where all is well."""
@@ -129,6 +131,7 @@ class Session:
         self._taken = ""
         self._stuck = ""
         self._away = False
+        self._succeeds = succeeds
         self._owns = False
         self._mode_asked: int | None = None
         self._confirmed = False
@@ -348,6 +351,9 @@ class Session:
                     self._taken = "a pilot or a failsafe of its own has taken it"
             elif self._owns and self._was_armed and not armed:
                 self._taken = "a pilot or a failsafe of its own has disarmed it"
+            elif self._succeeds and not ready:
+                self._taken = "its driver was lost, and a pilot or a failsafe of its own may have taken it"
+            self._succeeds = False
             if self._taken:
                 self._away, self._owns, self._confirmed = True, False, False
                 self._mode_asked, self._applied = None, Velocity()

@@ -32,12 +32,18 @@ class Bench:
         self.told: list[tuple[str, Drive | None]] = []
         self.seen: list[ExternalPose] = []
         self.velocity = Velocity()
+        self.succeeds = False
+        """Whether it was told that there was another one before it."""
         self.silent = False
         self.scans = False
         self.raises: dict[str, Exception] = {}
         """By the name of the call that is to raise it."""
         self._pose = (0.0, 0.0, 0.0)
         self._at: Time = 0
+
+    def succeed(self) -> None:
+        assert not self.told
+        self.succeeds = True
 
     def take(self, step: Step, now: Time) -> None:
         self._fail("take")

@@ -236,6 +236,7 @@ def test_asked_to_end_it_lets_the_robot_stand_deactivates_and_closes(place: Plac
 def test_a_newer_life_takes_over_and_the_older_says_no_more(place: Place) -> None:
     older = driving(place)
     newer = place.start(Bench(), life=2)
+    assert newer.bench.succeeds
     assert str(older.result()) == "r1-driver (incarnation 1) steps back: incarnation 2 has taken over"
     assert [what for what, _ in older.bench.told[-2:]] == ["stop", "close"]
     told = len(older.bench.told)
@@ -286,6 +287,8 @@ def test_a_driver_that_raises_is_stopped_and_there_is_another_one(
     assert {motion.reason for motion in faults} == {"OSError: the port is gone"}
     assert not any(motion.controllable for motion in faults)
     assert "r1-driver: the driver failed: OSError: the port is gone" in capfd.readouterr().err
+    assert not bench.succeeds
+    assert process.bench.succeeds
 
 
 def test_a_driver_that_says_fault_is_closed_and_connected_again(place: Place) -> None:

@@ -16,7 +16,7 @@ from maniple.transport.mavlink_framing import Framer
 from robot_agent.drivers.interface import LIFE_CYCLE, Step
 from robot_agent.drivers.mavlink.frames import METRES_PER_DEGREE, Origin
 from robot_agent.drivers.mavlink.ranges import SECTORS
-from robot_agent.drivers.mavlink.session import MISSED, SILENT, STALE, Setup
+from robot_agent.drivers.mavlink.session import MISSED, SILENT, STALE, Session, Setup
 from tests.robot_agent.drivers.mavlink.bench import GCS, MAV, PLACE, ROVER, SETUP, Bench, Pipe, drive
 
 MANUAL, HOLD, GUIDED = 0, 4, 15
@@ -343,6 +343,34 @@ def test_a_pilot_takes_it_is_not_fought_and_gives_it_back() -> None:
     bench.run(2.0)
     assert bench.motions[-1].controllable
     assert bench.velocity.u == pytest.approx(0.3, abs=0.01)
+
+
+@pytest.mark.parametrize("how", [HOLD, MANUAL, "disarmed"])
+def test_what_became_of_it_while_it_had_no_driver_is_not_undone_by_the_next(how: int | str) -> None:
+    bench = driving()
+    if isinstance(how, int):
+        bench.pilot_sets(how)
+    else:
+        bench.pilot_arms(False)
+    bench.session = Session(MAV, SETUP, succeeds=True)
+    bench.reach("configured")
+    found = bench.rover.mode, bench.rover.armed
+    bench.take("activate")
+    bench.run(5.0)
+    assert bench.session.state == "configured"
+    assert not bench.motions[-1].controllable
+    assert "it has to be given back in GUIDED, armed" in bench.session.reason
+    assert (bench.rover.mode, bench.rover.armed) == found != (GUIDED, True)
+    bench.pilot_sets(GUIDED)
+    bench.pilot_arms(True)
+    bench.until(lambda: bench.session.state == "active", 2.0)
+
+
+def test_as_its_last_driver_left_it_the_next_one_goes_on() -> None:
+    bench = driving()
+    bench.session = Session(MAV, SETUP, succeeds=True)
+    bench.reach("active")
+    assert commands(bench).count(ARM_DISARM) == 1, "by the first one"
 
 
 def test_a_pilot_disarms_it() -> None:
