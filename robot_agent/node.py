@@ -11,7 +11,7 @@ from maniple.control.limits import Limits, Velocity, aged, limits_of
 from maniple.control.parts import Parts
 from maniple.control.pipeline import Pipeline, onboard_layers
 from maniple.core import topics
-from maniple.core.edges import WORLD, motion_source, scan_source
+from maniple.core.edges import WORLD, motion_source, preflight_asked, scan_source
 from maniple.core.errors import ScenarioError
 from maniple.core.geometry import Pose
 from maniple.core.messages import (
@@ -86,7 +86,7 @@ class RobotAgent:
         model, layer = scenario.model_of(robot), scenario.placement.robot_from
         capabilities = capabilities_of(scenario, robot, drivers)
         self._id = robot_id
-        self._digest = short_digest(scenario)
+        self._digest = short_digest(scenario) if preflight_asked(scenario) else ""
         self._motion_source, self._scan_source = motion_source(robot), scan_source(robot)
         self._odometry, self._ranges = topics.odometry(robot_id), topics.ranges(robot_id)
         self._drive, self._status = topics.drive(robot_id), topics.status(robot_id)

@@ -83,10 +83,10 @@ class Odometry(Message, frozen=True, kw_only=True, gc=False):
     on while it was dead. Empty before the first."""
     motion_pose: tuple[float, float, float] | None = None
     """Instead of `ticks`: the pose (m, m, rad) that the driver reported, in the driver's own frame."""
-    motion_incarnation: int = 0
-    """The life of the driver that counted them."""
     motion_origin: int | None = None
     """And `Motion.origin`."""
+    motion_incarnation: int = 0
+    """The life of the driver that counted them."""
 
 
 class Scan(Message, frozen=True, kw_only=True, gc=False):
@@ -138,7 +138,7 @@ class Status(Message, frozen=True, kw_only=True, gc=False):
     estop_tested: bool = False
     """Whether this life of the agent has stood by an emergency stop and was armed again."""
     scenario: str = ""
-    """Digest of the scenario it runs, the first 16 digits."""
+    """Digest of the scenario it runs, the first 16 digits; empty where no pre-flight check asks for it."""
     sees: bool = True
     """Whether it has the ranges that its layers or its guard go by; true for one that goes by none."""
     limits: tuple[float, float, float] | None = None

@@ -38,6 +38,7 @@ from maniple.core.scenario.types import (
     Compensation,
     Guard,
     Placement,
+    Preflight,
     Rates,
     Robot,
     Scenario,
@@ -484,7 +485,8 @@ def test_needs_no_ranges_that_nothing_of_its_own_uses(
 
 
 def test_it_tells_what_it_can_do_and_which_scenarios_are_run(make_scenario: Make) -> None:
-    scenario = make_scenario()
+    assert status_of(RobotAgent(make_scenario(), "r1"), T0).scenario == "", "nobody asks"
+    scenario = replace(make_scenario(), preflight=Preflight(enabled=True))
     agent = RobotAgent(scenario, "r1")
     model, status = scenario.model_of(scenario.robots[0]), status_of(agent, T0)
     assert status.limits == (model.u_max_mps, model.w_max_radps, 0.0)
