@@ -81,10 +81,13 @@ class CentralController:
     where it is.
 
     Where the scenario asks for a pre-flight check, nothing begins before every robot has passed it, and a
-    robot that has yet to pass it is not commanded.
+    robot that has yet to pass it is not commanded. The robots have to run the scenario with this `digest`, by
+    default that of `scenario`.
     """
 
-    def __init__(self, scenario: Scenario, parts: Parts = BUILTIN, incarnation: int = 1) -> None:
+    def __init__(
+        self, scenario: Scenario, parts: Parts = BUILTIN, incarnation: int = 1, digest: str = ""
+    ) -> None:
         layers = central_layers(scenario.placement.robot_from)
         self._given = self._scenario = scenario
         self._incarnation = incarnation
@@ -99,7 +102,7 @@ class CentralController:
         own = bearable(scenario)
         self._limits = own
         self._roster = Roster(scenario.robots, scenario.controller.host, own, incarnation)
-        self._preflight = Preflight(scenario, self._roster.members, self._with_ranges)
+        self._preflight = Preflight(scenario, self._roster.members, self._with_ranges, digest)
         self._lineup = Lineup(scenario, self._planner)
         self._supervisor = self._supervise()
         self._mission = Mission(scenario.task, scenario.controller)

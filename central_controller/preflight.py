@@ -50,14 +50,15 @@ class Preflight:
     looked at any more. An agent that lives anew has not stood by an emergency stop yet, so that is tested
     again too.
 
-    With `ranges` the controller itself goes by what the robots sense.
+    With `ranges` the controller itself goes by what the robots sense. `digest` is what the robots know the
+    scenario by, its own by default.
     """
 
-    def __init__(self, scenario: Scenario, members: Sequence[Member], ranges: bool) -> None:
+    def __init__(self, scenario: Scenario, members: Sequence[Member], ranges: bool, digest: str = "") -> None:
         self._asked = scenario.preflight
         self._members = members if edges.preflight_asked(scenario) else ()
         self._ranges = ranges
-        self._digest = short_digest(scenario) if self._members else ""
+        self._digest = (digest or short_digest(scenario)) if self._members else ""
         self._status_stale = max(
             from_seconds(topics.topic(topics.status("x")).stale_after_s),
             from_seconds(_STALE_PERIODS / scenario.rates.status_hz),

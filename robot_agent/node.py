@@ -68,7 +68,8 @@ class RobotAgent:
     `incarnation` is the life of this agent: commands that answer an earlier one are not acted on. Until a
     later life than the first knows where its odometry frame lies it takes no commands. An operator's
     emergency stop is above all: until it is armed again the robot stands, and then it moves only on a command
-    that was computed from what it said since.
+    that was computed from what it said since. It says that it runs the scenario with this `digest`, by
+    default that of `scenario`.
 
     Raises:
         ScenarioError: the scenario has no such robot, or its driver can't be commanded.
@@ -81,12 +82,13 @@ class RobotAgent:
         incarnation: int = 1,
         parts: Parts = BUILTIN,
         drivers: Mapping[str, DriverFactory] = DRIVERS,
+        digest: str = "",
     ) -> None:
         robot = _find(scenario, robot_id)
         model, layer = scenario.model_of(robot), scenario.placement.robot_from
         capabilities = capabilities_of(scenario, robot, drivers)
         self._id = robot_id
-        self._digest = short_digest(scenario) if preflight_asked(scenario) else ""
+        self._digest = (digest or short_digest(scenario)) if preflight_asked(scenario) else ""
         self._motion_source, self._scan_source = motion_source(robot), scan_source(robot)
         self._odometry, self._ranges = topics.odometry(robot_id), topics.ranges(robot_id)
         self._drive, self._status = topics.drive(robot_id), topics.status(robot_id)

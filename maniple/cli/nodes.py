@@ -21,24 +21,26 @@ RUNDOWN_S = 1.5
 """How long the simulator goes on after the robots were stopped, so that the recording shows them stand, s."""
 
 
-def factories(scenario: Scenario) -> Mapping[str, Callable[[int], Node]]:
+def factories(scenario: Scenario, digest: str = "") -> Mapping[str, Callable[[int], Node]]:
     """What makes each node of a scenario, given its incarnation, by name; each looks for its layers and
     drivers itself, and raises `ScenarioError` if one is not installed. Where no robot has a body in it there
-    is no simulator."""
+    is no simulator. `digest` is what the nodes call their scenario among each other; by default its own."""
     robots: dict[str, Callable[[int], Node]] = {
-        robot.id: partial(_agent, scenario, robot) for robot in scenario.robots
+        robot.id: partial(_agent, scenario, robot, digest) for robot in scenario.robots
     }
     world: dict[str, Callable[[int], Node]] = {"simulator": lambda _: Simulator(scenario)}
     return {
         **(world if simulated(scenario) else {}),
-        "controller": lambda incarnation: CentralController(scenario, parts_of(scenario), incarnation),
+        "controller": lambda incarnation: CentralController(
+            scenario, parts_of(scenario), incarnation, digest
+        ),
         **robots,
     }
 
 
-def _agent(scenario: Scenario, robot: Robot, incarnation: int) -> RobotAgent:
+def _agent(scenario: Scenario, robot: Robot, digest: str, incarnation: int) -> RobotAgent:
     parts, drivers = parts_of(scenario, on_robot=True), drivers_of(scenario, (robot,))
-    return RobotAgent(scenario, robot.id, incarnation, parts, drivers)
+    return RobotAgent(scenario, robot.id, incarnation, parts, drivers, digest)
 
 
 def time_limit_s(scenario: Scenario, duration_s_asked: float | None) -> float:

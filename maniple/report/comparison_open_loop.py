@@ -15,6 +15,7 @@ from maniple.core.envelope import Envelope, Header
 from maniple.core.errors import ArgumentError, MessageError
 from maniple.core.messages import Command, Drive, FormationState, Status, unpack_floats
 from maniple.core.node import Node, Outgoing, Received
+from maniple.core.scenario.parse import short_digest
 from maniple.core.scenario.types import Scenario
 from maniple.core.time import Time
 from maniple.host.reexecution import Inputs, LackingError, Life, lives, reexecute
@@ -118,11 +119,13 @@ def require_open_loop(changes: Iterable[FieldChange], recorded: Scenario, change
 def rerun(
     recording: Recording,
     scenario: Scenario,
-    factories: Callable[[Scenario], Makers],
+    factories: Callable[[Scenario, str], Makers],
     nodes: Collection[str],
     tell: Callable[[str], None] = lambda _: None,
 ) -> Rerun:
     """Run the nodes of these names again with another scenario on what they received; `tell` is told which.
+
+    `factories` makes them of a scenario, and of the digest that others know it by.
 
     Raises:
         ArgumentError: the scenario can't be another in this way, or a node has no journal.
@@ -134,7 +137,8 @@ def rerun(
     found = [life for life in lives(recording) if life.node in nodes]
     if unknown := sorted(set(nodes) - {life.node for life in found}):
         raise ArgumentError(f"{recording.path} holds no journal of {', '.join(unknown)}")
-    before, makers = factories(recording.scenario), factories(scenario)
+    known_as = short_digest(recording.scenario)  # in what they heard of each other
+    before, makers = (factories(made, known_as) for made in (recording.scenario, scenario))
     sides = Sides(recording, scenario)
     runs = []
     for life in found:

@@ -90,6 +90,18 @@ def test_another_guard_changes_what_drives_are_told(log: Path) -> None:
     assert rows["robot/r2/drive", "u_mps"]["largest"] > 0.05
 
 
+def test_another_gain_in_a_platoon_that_was_checked_before_it_began(tmp_path: Path) -> None:
+    log = recorded(tmp_path, "preflight.enabled=true", "preflight.estop=false")
+    assert json.loads(rerun(log, "--json").stdout)["identical"]
+    found = json.loads(rerun(log, "--set", "controller.kappa=0.5", "--json").stdout)
+    topics_of = {topic["topic"]: topic for topic in found["messages"]}
+    assert {name for name, topic in topics_of.items() if topic["beyond"]} == {
+        f"robot/r{index}/command" for index in range(1, 5)
+    }
+    assert not any(topic["only_a"] or topic["only_b"] for topic in topics_of.values())
+    assert topics_of["robot/r1/status"]["identical"] == topics_of["robot/r1/status"]["a"]
+
+
 def test_a_layer_that_is_left_out_does_not_hear_what_it_needed(tmp_path: Path) -> None:
     log = recorded(tmp_path, "placement.robot_from=drive")
     found = json.loads(rerun(log, "--set", "avoidance.enabled=false", "--json").stdout)
