@@ -28,7 +28,8 @@ p { margin: .4rem 0; max-width: 46rem; } .soft { color: var(--soft); } .warn { c
 table { border-collapse: collapse; font-size: .92rem; margin: .5rem 0; }
 th, td { text-align: left; padding: .22rem .9rem .22rem 0; border-bottom: 1px solid var(--line);
   vertical-align: top; }
-th { font-weight: 600; } td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
+th { font-weight: 600; }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
 .scroll { overflow-x: auto; }
 .figures { columns: 2 28rem; column-gap: 1.5rem; }
 figure { margin: 0 0 1.5rem; break-inside: avoid; }
