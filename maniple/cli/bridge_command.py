@@ -59,6 +59,7 @@ def ros2(
     from maniple.recording.ros2 import Names
     from maniple.transport.ros2 import Network, RosSession
 
+    require_endpoint(connect)
     where = router or connect
     require_endpoint(where, "--router")
     resolved = load(scenario, overrides or (), seed)
@@ -67,7 +68,7 @@ def ros2(
     try:
         session = RosSession.open(where, NODE, "/", network, timeout)
     except TransportError as error:
-        raise RunError(f"the ROS 2 side: {error}") from None
+        raise RunError(f"the ROS 2 side: {error}" if router else str(error)) from None
     with session as ros, operator_session(connect, resolved.network.prefix, timeout) as fleet:
         bridge = Ros2Bridge(fleet, ros, resolved, names, say)
         domain = f", domain {domain_id}" if layout == "rmw_zenoh" else ""

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from maniple.control.limits import Velocity
 from maniple.core.edges import WORLD
-from maniple.core.errors import MessageError, RunError
+from maniple.core.errors import MessageError, RunError, ScenarioError
 from maniple.core.geometry import Pose
 from maniple.core.messages import Drive, DriverState, ExternalPose, Motion, Scan
 from maniple.core.scenario.types import Robot, Scenario
@@ -102,7 +102,8 @@ class Ros2Driver:
         """Begin a step of the life cycle.
 
         Raises:
-            RunError: the step is not open in this state, or no router is known.
+            RunError: the step is not open in this state.
+            ScenarioError: no router is known.
             MissingExtraError: what ROS 2 needs is not installed.
         """
         if (self._state, step) not in LIFE_CYCLE:
@@ -181,7 +182,10 @@ class Ros2Driver:
             return
         require()
         if not self._endpoint:
-            raise RunError(f"{self._robot}: robots.ros2.router: no router is known, as tcp/192.168.1.12:7447")
+            raise ScenarioError(
+                f"robots.{self._robot}.ros2.router: no router is known; must be as 'tcp/192.168.1.12:7447', "
+                "or --hardware must name the one of the hardware network"
+            )
         self._begin()
         self._failure = "" if self._link is None else self._link.failure
         node = "maniple_" + re.sub(r"[^A-Za-z0-9]+", "_", self._robot)

@@ -207,7 +207,7 @@ def test_a_robot_whose_id_ros_2_does_not_know_needs_a_namespace() -> None:
 
 
 def test_without_any_router_to_connect_to_it_says_where_to_name_it() -> None:
-    with pytest.raises(ManipleError, match=r"robots\.ros2\.router: no router is known"):
+    with pytest.raises(ManipleError, match=r"ros2\.router: no router is known; must be as"):
         Bench("").take("connect")
 
 
