@@ -75,6 +75,8 @@ class Bench:
         self.surroundings: Scan | None = None
         self.sees = False
         self.blocked = False
+        self.signs = (1.0, 1.0)
+        """What its motors make of what they are told, forward and turning."""
         self.between: Callable[[list[Any]], list[Any]] = lambda messages: messages
         """What becomes of the rover's messages on their way;"""
         self.upward: Callable[[list[Any]], list[Any]] = lambda messages: messages
@@ -131,7 +133,7 @@ class Bench:
             mine = [message for message, to in said if to in (0, self.setup.gcs_system_id)]
             arrived = self.down.through(mine)
             if not self.blocked:
-                self.velocity = Velocity(drive.u_mps, drive.w_radps)
+                self.velocity = Velocity(self.signs[0] * drive.u_mps, self.signs[1] * drive.w_radps)
         if self.sees and self._turns % 10 == 0:
             self.session.see(ExternalPose(pose=self.pose), self.now)
         if not self.cut:
