@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from maniple.cli.extensions import require_layers
+from maniple.cli.extensions import require_extras, require_layers
 from maniple.cli.loading import completed, load
 from maniple.cli.machine import describe_machine
 from maniple.cli.outcome import Outcome, recordings_of
@@ -104,6 +104,7 @@ def run(
         ArgumentError: speed or duration is not valid, also for the drivers of its robots, or there are no
             processes to keep alive.
         ScenarioError: the scenario is not valid.
+        MissingExtraError: a driver needs what is not installed.
         RecordingError: the recording can't be written.
         RunError: a process of the run failed; the recording up to then is there.
     """
@@ -113,6 +114,7 @@ def run(
     if virtual or speed != 1.0:
         require_simulated(resolved, "virtual time" if virtual else f"speed = {speed:g}")
     require_layers(resolved)
+    require_extras(resolved)
     _require_recordable(resolved, virtual, recording)
     for notice in notices(recording, resolved) if virtual else ():  # else the recorder says it
         on_notice(notice)

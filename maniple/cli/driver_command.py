@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from maniple.cli import node_commands
-from maniple.cli.extensions import Installed, drivers_of, implementation, installed
+from maniple.cli.extensions import NEEDS, Installed, drivers_of, implementation, installed, version_of
 from maniple.cli.interrupt import on_interrupt
 from maniple.cli.loading import load, range_finders, robot_models
 from maniple.control.limits import limits_of
@@ -35,13 +35,6 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-
-NEEDS: Mapping[str, tuple[str, ...]] = {
-    edges.SIMULATOR: (),
-    "mavlink": ("pymavlink", "pyserial"),
-    "ros2": ("rosbags", "xxhash"),
-}
-"""The distributions that built-in drivers need; each is an extra of this one. pyserial is for cables only."""
 
 _PLAIN = """
 name = "plain"
@@ -169,7 +162,10 @@ def check(
     if as_json:
         typer.echo(msgspec.json.encode(found).decode())
     elif scenario is None:
-        typer.echo(f"{name}: needs {_needs_text(needs)}; with --scenario its vehicle is tried, too")
+        advice = "with --scenario its vehicle is tried, too"
+        if name in NEEDS and not found.ok:
+            advice = f"pip install 'maniple[{name}]'"
+        typer.echo(f"{name}: needs {_needs_text(needs)}; {advice}")
     raise typer.Exit(0 if found.ok else 1)
 
 
@@ -343,7 +339,7 @@ def _capabilities(name: str) -> tuple[Capabilities | None, str]:
 
 def _dependencies(one: Installed) -> dict[str, str | None]:
     """The distributions a driver needs, with their versions, or None for those that are not there."""
-    from importlib.metadata import PackageNotFoundError, requires, version
+    from importlib.metadata import PackageNotFoundError, requires
 
     if not one.value:
         names = NEEDS.get(one.name, ())
@@ -354,13 +350,7 @@ def _dependencies(one: Installed) -> dict[str, str | None]:
             lines = []
         parts = [re.match(r"[A-Za-z0-9][A-Za-z0-9._-]*", line) for line in lines if "extra ==" not in line]
         names = tuple(part[0] for part in parts if part and part[0] != "maniple")
-    found: dict[str, str | None] = {}
-    for name in names:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = None
-    return found
+    return {name: version_of(name) for name in names}
 
 
 def _needs_text(dependencies: Mapping[str, str | None]) -> str:

@@ -10,7 +10,7 @@ from maniple.control.limits import limits_of
 from maniple.control.parts import Parts
 from maniple.control.pipeline import Pipeline
 from maniple.core.edges import SIMULATOR, has_scanner
-from maniple.core.errors import ManipleError, ScenarioError
+from maniple.core.errors import ManipleError, MissingExtraError, ScenarioError
 from maniple.core.layers import PIPELINE
 from maniple.core.scenario.types import Robot, Scenario
 from robot_agent import drivers
@@ -46,6 +46,13 @@ PLACES: Mapping[Extension, Place] = {
 }
 
 KINDS: tuple[Kind, ...] = get_args(Kind)
+
+NEEDS: Mapping[str, tuple[str, ...]] = {
+    "mavlink": ("pymavlink", "pyserial"),
+    "ros2": ("rosbags", "xxhash"),
+}
+"""The distributions that the built-in drivers of these names need, and what the simulator presents as such a
+vehicle. The extra has the same name. pyserial is for cables only."""
 
 
 class Installed(NamedTuple):
@@ -109,6 +116,30 @@ def drivers_of(scenario: Scenario, robots: Sequence[Robot] | None = None) -> Map
         name: factory if name in drivers.BUILTIN else _heeding(factory, name)
         for name, factory in _named("driver", named).items()
     }
+
+
+def version_of(distribution: str) -> str | None:
+    """The version that is installed; None where it is not."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return None
+
+
+def require_extras(scenario: Scenario) -> None:
+    """Refuse a resolved scenario whose built-in drivers and vehicles could not run on this machine.
+
+    Raises:
+        MissingExtraError: says which, and what to install.
+    """
+    for robot in scenario.robots:
+        cable = robot.mavlink.connection.startswith("serial:")
+        for field, name in (("driver", robot.driver), ("scans", robot.scans), ("presents", robot.presents)):
+            for need in NEEDS.get(name, ()):
+                if version_of(need) is None and (cable or need != "pyserial"):
+                    raise MissingExtraError(f"robots.{robot.id}.{field} = {name!r} ({need})", name)
 
 
 def _heeding(factory: DriverFactory, name: str) -> DriverFactory:

@@ -8,10 +8,12 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from maniple.cli import driver_command
+import maniple
+from maniple.cli import driver_command, extensions
 from maniple.cli.loading import load
 from maniple.cli.main import main
 from maniple.cli.program import app
+from maniple.core.errors import MissingExtraError
 from maniple.core.time import SECOND, Duration, Time
 from robot_agent.drivers import conformance
 from robot_agent.drivers.conformance import PROPERTIES, WallRig
@@ -113,6 +115,33 @@ def test_without_a_scenario_only_what_it_needs_is_looked_at(scene: Path) -> None
     assert run("check", "mavlink").startswith("mavlink: needs pymavlink ")
     assert "no-such-thing (missing)" in run("check", "paper", status=1)
     assert json.loads(run("check", "ros2", "--json"))["ok"]
+
+
+def test_what_is_not_installed_is_asked_for_before_any_process_is_started(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def there(distribution: str) -> str | None:
+        return None if distribution in {"pymavlink", "xxhash", "pyserial"} else "1.0"
+
+    monkeypatch.setattr(extensions, "version_of", there)
+    monkeypatch.setattr(driver_command, "version_of", there)
+    assert run("check", "mavlink", status=1) == (
+        "mavlink: needs pymavlink (missing), pyserial (missing); pip install 'maniple[mavlink]'\n"
+    )
+    mavlink = ["robots.r2.driver=mavlink", "robots.r2.presents=mavlink"]
+    with pytest.raises(MissingExtraError, match=r"robots\.r2\.driver = 'mavlink' \(pymavlink\) .*\[mavl"):
+        maniple.run(scene, overrides=mavlink, log=tmp_path / "x.mcap")
+    with pytest.raises(MissingExtraError, match=r"robots\.r3\.scans = 'ros2' \(xxhash\) .*maniple\[ros2"):
+        maniple.run(scene, overrides=["robots.r3.scans=ros2"], log=tmp_path / "x.mcap")
+    assert not (tmp_path / "x.mcap").exists()
+
+
+def test_a_cable_needs_more_than_a_network(monkeypatch: pytest.MonkeyPatch, scene: Path) -> None:
+    monkeypatch.setattr(extensions, "version_of", lambda one: None if one == "pyserial" else "1.0")
+    driven = ["robots.r2.driver=mavlink", "robots.r2.mavlink.connection="]
+    extensions.require_extras(load(scene, [driven[0], driven[1] + "udpin:0.0.0.0:14599"]))
+    with pytest.raises(MissingExtraError, match=r"\(pyserial\)"):
+        extensions.require_extras(load(scene, [driven[0], driven[1] + "serial:/dev/ttyUSB0:57600"]))
 
 
 def test_a_dry_run(scene: Path) -> None:
