@@ -3,7 +3,7 @@
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
@@ -57,17 +57,24 @@ def try_stop(session: "ZenohSession", timeout_s: float = CONFIRM_S) -> Trial:
     """Let all robots stand, see that they do, arm them again and see that too. An emergency stop that
     somebody else has given, before or meanwhile, is left as it is.
 
-    Interrupted in between, the stop stands.
+    Interrupted in between, the stop stands. What another operator said just before this, and came to others
+    only after it, is below it by its number, and is meant all the same.
     """
+    others: list[EmergencyStop] = []
+    session.subscribe(topics.STOP, lambda _, data: others.extend(_stop_in(data)))
+    session.settle()
     said = latched(session, topics.STOP)
     if isinstance(said, EmergencyStop) and said.stopped:
         about = f" ({said.reason})" if said.reason else ""
         return Trial(False, f"not tested: an emergency stop stands{about}; maniple arm releases it")
     order = Order(session, topics.STOP, EmergencyStop(stopped=True, reason=REASON), timeout_s)
     stop = confirm(session, EmergencyStop(stopped=True, reason=REASON), timeout_s, order)
-    if stop.overruled:
+    if stop.overruled or _wants_stop(others):
         return Trial(False, "not tested: another operator has said something meanwhile", stop)
     arm = confirm(session, EmergencyStop(stopped=False, reason=REASON), timeout_s, order)
+    if _wants_stop(others):
+        confirm(session, EmergencyStop(stopped=True, reason=others[-1].reason), timeout_s)
+        return Trial(False, "not tested: another operator has said something meanwhile", stop, arm)
     if stop.ok and arm.ok:
         took_s = max(stop.confirmed.values())
         return Trial(
@@ -75,6 +82,18 @@ def try_stop(session: "ZenohSession", timeout_s: float = CONFIRM_S) -> Trial:
         )
     failed = "; ".join(words(found).replace("\n", "; ") for found in (stop, arm) if not found.ok)
     return Trial(False, f"failed: {failed}", stop, arm)
+
+
+def _stop_in(data: bytes) -> Iterator[EmergencyStop]:
+    with contextlib.suppress(MessageError):
+        message = codec.decode(topics.STOP, data)
+        if isinstance(message, EmergencyStop):
+            yield message
+
+
+def _wants_stop(others: Sequence[EmergencyStop]) -> bool:
+    """Whether the last word of other operators is that everybody stands."""
+    return bool(others) and others[-1].stopped
 
 
 class Watch:

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from maniple.cli import stop_trial
 from maniple.cli.operator import latched, operator_session, publish
+from maniple.cli.stop_command import confirm
 from maniple.cli.stop_trial import Watch, step_of, try_stop, trying
 from maniple.core import codec, topics
 from maniple.core.messages import Check, EmergencyStop, FormationState, RobotReport
@@ -136,6 +137,35 @@ def test_a_stop_that_comes_meanwhile_stays(endpoint: str) -> None:
     assert found.why == "not tested: another operator has said something meanwhile"
     assert isinstance(kept, EmergencyStop)
     assert kept.reason == "a dog"
+
+
+@pytest.mark.parametrize("when", [True, False])
+def test_a_stop_that_was_under_way_as_the_test_began_stays(
+    endpoint: str, when: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is of an earlier life than the test's own. It arrives while robots stand, or as they are armed."""
+    one = Played(endpoint, "r1")
+    with one.session, obeying(one), operator_session(endpoint, "maniple", DEADLINE_S) as session:
+        publish(session, topics.STOP, EmergencyStop(stopped=False), DEADLINE_S)
+        other = EmergencyStop(stopped=True, reason="a dog", source="operator", incarnation=1)
+        heard: list[EmergencyStop] = []
+
+        def confirmed(*arguments: Any, **options: Any) -> Any:
+            found = confirm(*arguments, **options)
+            if found.stopped == when and not heard:
+                heard.append(other)
+                one.session.put(topics.STOP, codec.encode(other))
+                one.session.settle()
+                session.settle()
+            return found
+
+        monkeypatch.setattr(stop_trial, "confirm", confirmed)
+        found = try_stop(session)
+        kept = latched(session, topics.STOP)
+    assert (found.ok, found.arm is None) == (False, when)
+    assert found.why == "not tested: another operator has said something meanwhile"
+    assert isinstance(kept, EmergencyStop)
+    assert kept.stopped
 
 
 def test_a_robot_that_goes_on_fails_the_test_and_is_named(endpoint: str) -> None:
