@@ -64,15 +64,8 @@ def vehicle(scenario: Scenario, robot: Robot, _: str = "") -> MavlinkVehicle:
     """The rover that a robot of a resolved scenario is presented as.
 
     Raises:
-        ScenarioError: nothing of this machine can be at the other end of its connection, or its body is no
-            skid-steered or differential one.
+        ScenarioError: nothing of this machine can be at the other end of its connection.
     """
-    model = scenario.model_of(robot)
-    if model.drive != "differential":
-        raise ScenarioError(
-            f"robots: {robot.id}: presents = 'mavlink': its model is {model.drive}; must be differential, as "
-            "an ArduPilot Rover that turns on the spot"
-        )
     try:
         return MavlinkVehicle(spec_of(scenario, robot), other_end(robot.mavlink.connection))
     except ArgumentError as error:

@@ -20,7 +20,7 @@ def hardware_problems(scenario: Scenario) -> Iterator[str]:
     """What is wrong with the drivers of a resolved scenario: path, value, what would be valid."""
     yield from _names(scenario)
     for index, robot in enumerate(scenario.robots):
-        yield from _drivers(f"robots[{index}]", robot)
+        yield from _drivers(f"robots[{index}]", robot, scenario.model_of(robot).drive)
         if robot.mavlink.connection or uses(robot, MAVLINK):
             yield from _vehicle(f"robots[{index}].mavlink", robot)
         if robot.ros2.router and not _is_router(robot.ros2.router):
@@ -50,9 +50,14 @@ def _names(scenario: Scenario) -> Iterator[str]:
                 )
 
 
-def _drivers(path: str, robot: Robot) -> Iterator[str]:
-    """Parts that do not fit each other."""
+def _drivers(path: str, robot: Robot, drive: str) -> Iterator[str]:
+    """Parts that do not fit each other, of a robot whose model has this `drive`."""
     shown = robot.presents
+    if shown == MAVLINK and drive != "differential":
+        yield (
+            f"{path}.presents = 'mavlink': its model is {drive}; must be differential, as an ArduPilot Rover "
+            "that turns on the spot"
+        )
     if has_vehicle(robot) and robot.driver in _BUILTIN and robot.driver != shown:
         yield (
             f"{path}.presents = {shown!r}: its driver is {robot.driver!r}, which does not connect to such a "

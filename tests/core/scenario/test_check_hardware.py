@@ -14,6 +14,7 @@ TCP = "tcp:127.0.0.1:5999"
 def checked(data: Data, robots: dict[int, Data]) -> list[str]:
     """With these fields of some robots."""
     data = copy.deepcopy(data)
+    data["models"]["omni"] = {**data["models"]["cart"], "drive": "omnidirectional", "v_max_mps": 0.5}
     for index, fields in robots.items():
         data["robots"][index].update(fields)
     return problems(resolve(scenario_of(with_overrides(data, ())), {}, {}))
@@ -114,6 +115,10 @@ def test_what_can_be_driven_has_no_problems(data: Data, robots: dict[int, Data])
         (
             {0: {"presents": "mavlink"}},
             "robots[0].presents = 'mavlink': its driver is 'simulator', which does not connect to such",
+        ),
+        (
+            {0: {"driver": "mavlink", "presents": "mavlink", "model": "omni"}},
+            "robots[0].presents = 'mavlink': its model is omnidirectional; must be differential",
         ),
         (
             {0: {"driver": "ros2", "presents": "mavlink"}},

@@ -4,7 +4,6 @@ import socket
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import msgspec
 import pytest
 
 from maniple.core.errors import ScenarioError, TransportError
@@ -145,8 +144,3 @@ def test_a_port_that_is_taken_is_said(make_scenario: MakeScenario) -> None:
 def test_what_can_not_be_presented_is_refused(make_scenario: MakeScenario) -> None:
     with pytest.raises(ScenarioError, match=r"robots: r1: presents = 'mavlink'.*serial"):
         made(make_scenario, "serial:/dev/ttyUSB0:57600")
-    scenario = scenario_of(make_scenario, POSES)
-    omni = msgspec.structs.replace(scenario.models["pioneer"], drive="omnidirectional", v_max_mps=0.5)
-    scenario = msgspec.structs.replace(scenario, models={"pioneer": omni})
-    with pytest.raises(ScenarioError, match="its model is omnidirectional; must be differential"):
-        vehicle(scenario, scenario.robots[0])
