@@ -332,7 +332,9 @@ class RobotAgent:
     def _stand(self, verdict: guard.Reason = "none") -> Outgoing:
         self._sent, self._verdict = _STANDING, verdict
         wanted = modes.WANTS_DRIVER[self._mode]
-        self._active = self._active if wanted is None else wanted
+        if wanted is None:
+            wanted = self._active and self._motion is not None and self._motion.state == "active"
+        self._active = wanted
         return self._told(_STANDING, self._active)
 
     def _told(self, velocity: Velocity, active: bool) -> Outgoing:

@@ -6,7 +6,7 @@ from maniple.control.limits import limits_of
 from maniple.core import codec, topics
 from maniple.core.clocks import NodeClock
 from maniple.core.envelope import Envelope, envelope_of
-from maniple.core.messages import Drive, Motion, Odometry, Stamp, Status
+from maniple.core.messages import Drive, DriverState, Motion, Odometry, Stamp, Status
 from maniple.core.scenario.types import Avoidance, Formation, Guard, Line, Placement, Robot, Scenario
 from maniple.core.time import MILLISECOND, SECOND, to_seconds
 from maniple.host.runner import NodeRunner
@@ -46,7 +46,7 @@ class HostedAgent:
         """What the agent says to it."""
         return self._said(self.runner.receive(envelope, self.now))
 
-    def moves(self, tick: int) -> Odometry:
+    def moves(self, tick: int, state: DriverState = "active") -> Odometry:
         """The drive reports, and odometry follows."""
         self.now = self.clock.shown(T0 + tick * TICK)
         motion = Motion(
@@ -56,7 +56,7 @@ class HostedAgent:
             stamp_ns=T0 + tick * TICK,
             ticks=(0, 0),
             applied=(0.0, 0.0),
-            state="active",
+            state=state,
             controllable=True,
         )
         (odometry,) = self.hear(enveloped(topics.motion("r1"), motion))

@@ -97,6 +97,21 @@ def test_a_drive_that_was_off_stays_off() -> None:
     assert agent.drive.active
 
 
+def test_a_drive_that_is_not_active_yet_is_not_made_so_before_it_is_armed() -> None:
+    """A real one would be armed for that."""
+    agent = HostedAgent(NodeClock())
+    agent.moves(0, state="configured")
+    agent.tick()
+    assert agent.drive.active
+    ordered(agent, True, 5)
+    assert not agent.drive.active
+    agent.moves(1, state="configured")
+    agent.tick()
+    assert not agent.drive.active
+    ordered(agent, False, 6)
+    assert agent.drive.active
+
+
 def test_a_drive_that_is_driven_stays_on_also_after_a_fault_that_was_none() -> None:
     """It was silent for a moment, and had not heard that it was given up."""
     agent = HostedAgent(NodeClock())
