@@ -163,11 +163,14 @@ class Crew:
         if name not in self._robot_of:
             back = f"back after {lasts_s:g} s" if lasts_s else "it will be back"
             return f"; {back}" if death.back else ""
-        absent = self._upkeep.absent(self._guests)
-        missing = self._robots_of(absent)
-        here = len(self._robots - missing)
-        later = len(missing - self._robots_of(self._upkeep.lost(self._guests)))
-        return f"; {here} robots go on" + (f", {later} will be back" if later else "")
+        missing = self._robots_of(self._upkeep.absent(self._guests))
+        lost = self._robots_of(self._upkeep.lost(self._guests))
+        here, later = len(self._robots - missing), len(missing - lost)
+        armed = name == edges.driver_of(self._robot_of[name]) and not death.back
+        left = "; its vehicle may still be armed" if armed else ""
+        if here + later < LEAST:
+            return f"{left}; {here} robots are left, a formation needs {LEAST}"
+        return f"{left}; {here} robots go on" + (f", {later} will be back" if later else "")
 
     def _go_on(self, what: str) -> None:
         """Say what happened, if the platoon goes on.

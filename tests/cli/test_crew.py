@@ -102,11 +102,13 @@ def test_a_robot_is_lost_with_what_drives_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     run = Run(tmp_path, monkeypatch, drivers=PRESENTED)
-    assert run.at(1.0, name) == [f"{name} died; 3 robots go on"]
+    left = {"r2-driver": "; its vehicle may still be armed"}
+    assert run.at(1.0, name) == [f"{name} died{left.get(name, '')}; 3 robots go on"]
     assert run.crew.troubles() == {name: "dead"}
     others = {"r2", "r2-driver", "r2-vehicle"} - {name}
-    assert run.at(2.0, *others) == [f"{other} died; 3 robots go on" for other in sorted(others)]
-    with pytest.raises(RunError, match="r3 died; 2 robots go on"):
+    told = [f"{other} died{left.get(other, '')}; 3 robots go on" for other in sorted(others)]
+    assert run.at(2.0, *others) == told
+    with pytest.raises(RunError, match="r3 died; 2 robots are left, a formation needs 3"):
         run.at(3.0, "r3")
 
 
@@ -168,7 +170,7 @@ def test_what_the_plan_kills_it_brings_back(tmp_path: Path, monkeypatch: pytest.
     assert run.crew.restarts == {"controller": 1, "r2": 1}
     run.crew.meet(Life("r2", 2, True))
     assert run.at(7.0) == []
-    with pytest.raises(RunError, match="r2 died; 2 robots go on"):
+    with pytest.raises(RunError, match="r2 died; 2 robots are left, a formation needs 3"):
         run.at(8.0, "r2")
 
 
