@@ -6,6 +6,7 @@ from typing import Literal, TypeAlias
 from maniple.core.messages import Mode
 
 Event: TypeAlias = Literal[
+    "contrary",
     "layer_failed",
     "driver_lost",
     "driver_ready",
@@ -19,13 +20,14 @@ Event: TypeAlias = Literal[
     "displaced",
     "stop",
 ]
-"""What a tick finds of its own layers: one has failed, for good. What it finds of the driver: silent, faulty
-or not controllable; there but not active; active. If it is active: no ranges known where they are needed.
-What it finds of the command, if it sees: young enough; old enough to slow down; too old to move. What an
-operator says: everything stands; it may move again. That the robot turns out to be elsewhere than was
-believed. And the end of the agent."""
+"""What a tick finds of the robot: it has moved against what it was told. Of its own layers: one has failed,
+for good. What it finds of the driver: silent, faulty or not controllable; there but not active; active. If it
+is active: no ranges known where they are needed. What it finds of the command, if it sees: young enough; old
+enough to slow down; too old to move. What an operator says: everything stands; it may move again. That the
+robot turns out to be elsewhere than was believed. And the end of the agent."""
 
 TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
+    ("waiting", "contrary"): "fault",
     ("waiting", "layer_failed"): "fault",
     ("waiting", "driver_lost"): "waiting",
     ("waiting", "driver_ready"): "waiting",
@@ -38,6 +40,7 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("waiting", "armed"): "waiting",
     ("waiting", "displaced"): "waiting",
     ("waiting", "stop"): "stopped",
+    ("tracking", "contrary"): "fault",
     ("tracking", "layer_failed"): "fault",
     ("tracking", "driver_lost"): "fault",
     ("tracking", "driver_ready"): "waiting",
@@ -50,6 +53,7 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("tracking", "armed"): "tracking",
     ("tracking", "displaced"): "waiting",
     ("tracking", "stop"): "stopped",
+    ("holding", "contrary"): "fault",
     ("holding", "layer_failed"): "fault",
     ("holding", "driver_lost"): "fault",
     ("holding", "driver_ready"): "waiting",
@@ -62,6 +66,7 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("holding", "armed"): "holding",
     ("holding", "displaced"): "waiting",
     ("holding", "stop"): "stopped",
+    ("emergency", "contrary"): "emergency",
     ("emergency", "layer_failed"): "emergency",
     ("emergency", "driver_lost"): "emergency",
     ("emergency", "driver_ready"): "emergency",
@@ -74,6 +79,7 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("emergency", "armed"): "waiting",
     ("emergency", "displaced"): "emergency",
     ("emergency", "stop"): "stopped",
+    ("stopped", "contrary"): "stopped",
     ("stopped", "layer_failed"): "stopped",
     ("stopped", "driver_lost"): "stopped",
     ("stopped", "driver_ready"): "stopped",
@@ -86,6 +92,7 @@ TRANSITIONS: Mapping[tuple[Mode, Event], Mode] = {
     ("stopped", "armed"): "stopped",
     ("stopped", "displaced"): "stopped",
     ("stopped", "stop"): "stopped",
+    ("fault", "contrary"): "fault",
     ("fault", "layer_failed"): "fault",
     ("fault", "driver_lost"): "fault",
     ("fault", "driver_ready"): "waiting",

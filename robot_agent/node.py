@@ -34,6 +34,7 @@ from maniple.core.scenario.parse import short_digest
 from maniple.core.scenario.types import Robot, Scenario
 from maniple.core.time import Duration, Time, from_seconds, period, to_seconds
 from robot_agent import dead_reckoning, modes
+from robot_agent.contrary import STUCK_AFTER, Contrary
 from robot_agent.drivers import BUILTIN as DRIVERS
 from robot_agent.drivers import capabilities_of
 from robot_agent.drivers.interface import COUNTS, EVENTS, DriverFactory, within
@@ -68,7 +69,8 @@ class RobotAgent:
     `incarnation` is the life of this agent: commands that answer an earlier one are not acted on. Until a
     later life than the first knows where its odometry frame lies it takes no commands. An operator's
     emergency stop is above all: until it is armed again the robot stands, and then it moves only on a command
-    that was computed from what it said since. It says that it runs the scenario with this `digest`, by
+    that was computed from what it said since. A robot that has moved against what it was told stands too,
+    until an operator has stopped and armed it. It says that it runs the scenario with this `digest`, by
     default that of `scenario`.
 
     Raises:
@@ -103,6 +105,7 @@ class RobotAgent:
         self._sensing = RangeSensing(self._scan_stale)
         self._orders = Orders(layer, incarnation)
         self._emergency = Emergency()
+        self._contrary, self._disobeys = Contrary(model), ""
         self._reckoning = dead_reckoning.Reckoning()
         self._frame = Localisation(capabilities.frame, incarnation, self._gauge)
         self._fence = geofence.fence_of(scenario.guard.fence)
@@ -164,7 +167,9 @@ class RobotAgent:
         """Command the drive, or report."""
         if timer != DRIVE:
             return (self._report(now),)
-        return *self._resume(now), self._command_drive(now)
+        resumed, drive = self._resume(now), self._command_drive(now)
+        self._contrary.tell(self._sent, now)
+        return *resumed, drive
 
     def on_stop(self, now: Time) -> Sequence[Outgoing]:
         """Let the drive brake and deactivate."""
@@ -191,6 +196,7 @@ class RobotAgent:
         if jumped:
             self._counted["encoder_jumps" if motion.pose is None else "pose_jumps"] += 1
             self._displace(before.pose, now)
+        self._look_whether_it_obeys(now)
         self._located_at = now
         self._frame.counted(motion, now)
         resumed = self._resume(now)
@@ -211,6 +217,13 @@ class RobotAgent:
             motion_origin=motion.origin,
         )
         return (*resumed, Outgoing(self._odometry, odometry))
+
+    def _look_whether_it_obeys(self, now: Time) -> None:
+        """By what is measured now."""
+        found = self._contrary.hear(self._reckoning.velocity, now)
+        if found and not self._disobeys:
+            self._disobeys = found
+            self._counted["contrary"] += 1
 
     def _refusal(self, motion: Motion) -> str | None:
         """Why a report of a drive is not believed: it comes from another process than the scenario names, has
@@ -257,9 +270,12 @@ class RobotAgent:
             return ()
         self._mode = modes.TRANSITIONS[self._mode, change]
         if change == "armed":
+            self._disobeys = ""
             self._orders.begin(now)
             self._estop_tested = self._estop_tested or self._stands(now)
-        return self._stand(), self._report(now)
+        drive = self._stand()
+        self._contrary.tell(self._sent, now)
+        return drive, self._report(now)
 
     def _stands(self, now: Time) -> bool:
         """Whether its drive, heard and controllable, says that it does not move."""
@@ -370,6 +386,8 @@ class RobotAgent:
         self._lost = event == "driver_lost" and self._motion is not None
         if self._emergency.stopped:
             return modes.TRANSITIONS[self._mode, "emergency"]
+        if self._disobeys:
+            return modes.TRANSITIONS[self._mode, "contrary"]
         if self._pipeline.fault:
             return modes.TRANSITIONS[self._mode, "layer_failed"]
         mode = modes.TRANSITIONS[self._mode, event]
@@ -420,9 +438,11 @@ class RobotAgent:
     def _reason(self, age_s: float, now: Time) -> str:
         """Why the robot is not tracking, for people."""
         if self._mode in ("tracking", "stopped"):
-            return "" if self._mode == "tracking" else "told to stop"
+            return self._stuck() if self._mode == "tracking" else "told to stop"
         if self._mode == "emergency":
             return self._emergency.reason
+        if self._disobeys:
+            return f"{self._disobeys}; it stands until an operator has stopped and armed it"
         if self._pipeline.fault:
             return self._pipeline.fault
         event, motion = self._driver_event(now), self._motion
@@ -443,6 +463,11 @@ class RobotAgent:
         if age_s < self._limits_now().stop_s and self._blind(now):
             return self._sensing.silence(now)
         return f"the command is {age_s:.1f} s old"
+
+    def _stuck(self) -> str:
+        """What a robot that is tracking can't do, for people."""
+        told = f"told to drive for {to_seconds(STUCK_AFTER):g} s and does not move (blocked, its motors)"
+        return told if self._contrary.stuck else ""
 
 
 def _find(scenario: Scenario, robot_id: str) -> Robot:

@@ -126,7 +126,7 @@ class Status(Message, frozen=True, kw_only=True, gc=False):
     """The largest such age since the status before; -1 before the first command."""
     driver: DriverState
     reason: str
-    """Why the robot is not tracking; empty while it is."""
+    """Why the robot is not tracking; while it is: that it does not move though it is told to, or empty."""
     counters: dict[str, int]
     compensation: tuple[float, ...] = ()
     """The adapted parameters, where the robot compensates its dynamics itself."""

@@ -11,6 +11,7 @@ EVENTS = get_args(Event)
 
 EXPECTED = {
     # event:          waiting    tracking    holding    emergency    stopped    fault
+    "contrary": ("fault", "fault", "fault", "emergency", "stopped", "fault"),
     "layer_failed": ("fault", "fault", "fault", "emergency", "stopped", "fault"),
     "driver_lost": ("waiting", "fault", "fault", "emergency", "stopped", "fault"),
     "driver_ready": ("waiting", "waiting", "waiting", "emergency", "stopped", "waiting"),
@@ -38,6 +39,7 @@ def test_transition(mode: Mode, event: Event) -> None:
 
 def test_a_lost_driver_or_a_stop_never_leaves_a_robot_moving() -> None:
     for mode in MODES:
+        assert not MOVES[TRANSITIONS[mode, "contrary"]]
         assert not MOVES[TRANSITIONS[mode, "layer_failed"]]
         assert not MOVES[TRANSITIONS[mode, "driver_lost"]]
         assert not MOVES[TRANSITIONS[mode, "driver_ready"]]

@@ -356,6 +356,63 @@ def stop(cell: Cell, stopped: bool, seq: int) -> None:
     cell.hear(topics.STOP, EmergencyStop(source="operator", incarnation=1, seq=seq, stopped=stopped))
 
 
+def test_what_moves_against_what_it_is_told_stands_until_it_was_stopped_and_armed(
+    make_scenario: Make,
+) -> None:
+    """Told to drive forwards it moves backwards; whatever its drive says afterwards, it stays where it is."""
+    cell = Cell(make_scenario)
+    backwards: dict[str, Any] = {"twist": (-0.2, 0.0, 0.0)}
+    assert cell.cruise((0.0, 0.0, 0.0), 20, **backwards).u_mps == pytest.approx(0.2)
+    assert cell.status.mode == "tracking"
+    drive = cell.cruise((0.0, 0.0, 0.0), 10, **backwards)
+    assert (drive.u_mps, drive.w_radps, drive.active) == (0.0, 0.0, False)
+    said = (
+        "told to drive forwards for 1 s and moves backwards (its motors, its compass); it stands until an "
+        "operator has stopped and armed it"
+    )
+    assert (cell.status.mode, cell.status.reason) == ("fault", said)
+    assert cell.status.counters["contrary"] == 1
+    stop(cell, False, 1)  # there is no stop to be released
+    for changes in ({}, {"controllable": False}, {"state": "configured"}, {"incarnation": 2}, {}):
+        drive = cell.cruise((0.0, 0.0, 0.0), 40, **changes)
+        assert (drive.u_mps, drive.active, cell.status.mode) == (0.0, False, "fault")
+    cell.hear(topics.HOST_ALIVE, Alive(node="controller", node_incarnation=2, alive=True))
+    cell.cruise((9.0, 0.0, 0.0), 5)
+    assert (cell.status.mode, cell.status.reason) == ("fault", said)
+    stop(cell, True, 2)
+    assert cell.cruise((9.0, 0.0, 0.0), 5).u_mps == 0.0
+    stop(cell, False, 3)
+    assert (cell.status.mode, cell.status.reason) == ("waiting", "no command yet")
+    assert cell.cruise((9.0, 0.0, 0.0), 60, twist=(0.2, 0.0, 0.0)).u_mps == pytest.approx(0.2)
+    assert (cell.status.mode, cell.status.reason) == ("tracking", "")
+    assert cell.cruise((9.0, 0.0, 0.0), 30, **backwards).u_mps == 0.0
+    assert cell.status.counters["contrary"] == 2
+
+
+def test_what_a_pilot_or_an_emergency_stop_makes_of_it_is_not_held_against_it(make_scenario: Make) -> None:
+    cell = Cell(make_scenario)
+    cell.cruise((0.0, 0.0, 0.0), 20, twist=(0.2, 0.0, 0.0))
+    away: dict[str, Any] = {"twist": (-0.4, 0.0, 0.0)}
+    cell.cruise((0.0, 0.0, 0.0), 60, controllable=False, **away)
+    cell.cruise((0.0, 0.0, 0.0), 20, twist=(0.1, 0.0, 0.0))
+    stop(cell, True, 1)
+    cell.cruise((0.0, 0.0, 0.0), 60, **away)
+    stop(cell, False, 2)
+    assert cell.cruise((0.0, 0.0, 0.0), 20, twist=(0.1, 0.0, 0.0)).u_mps == pytest.approx(0.2)
+    assert "contrary" not in cell.status.counters
+
+
+def test_what_does_not_move_though_it_is_told_to_says_so_and_is_told_on(make_scenario: Make) -> None:
+    cell = Cell(make_scenario)
+    cell.cruise((0.0, 0.0, 0.0), 60)
+    assert cell.status.reason == ""
+    assert cell.cruise((0.0, 0.0, 0.0), 10).u_mps == pytest.approx(0.2)
+    assert cell.status.mode == "tracking"
+    assert cell.status.reason == "told to drive for 3 s and does not move (blocked, its motors)"
+    cell.cruise((0.0, 0.0, 0.0), 1, twist=(0.1, 0.0, 0.0))
+    assert cell.status.reason == ""
+
+
 def test_the_emergency_stop_counts_as_tested_where_the_drive_was_heard_and_stood(make_scenario: Make) -> None:
     cell = Cell(make_scenario)
     stop(cell, False, 0)

@@ -51,9 +51,7 @@ DISARM_WITHIN: Duration = 400 * MILLISECOND
 REFUSED: Duration = 3 * SECOND
 """A refusal is told for so long; then it may be tried again."""
 MOVES_WITHIN: Duration = 2 * SECOND
-"""A vehicle that is told to drive has to move after so long,"""
-OBEYS_WITHIN: Duration = SECOND
-"""and not move against what it is told for so long."""
+"""A vehicle that is told to drive has to move after so long."""
 ASKED_EVERY: Duration = SECOND
 """How often things are asked for that bear no acknowledgement,"""
 ASKED_TIMES = 5
@@ -143,7 +141,7 @@ class Session:
         self._applied = Velocity()
         self._told_at: Time | None = None
         self._beat_at: Time | None = None
-        self._wrong: tuple[Time, str] = (0, "")
+        self._still_since: Time | None = None
         self._seen: deque[tuple[Time, ExternalPose]] = deque(maxlen=100)
         self._resets = 0
         self._frames = 0
@@ -279,7 +277,7 @@ class Session:
         if reckoned is None or self._at is None or self.state not in ("configured", "active"):
             return None
         turning = twist(reckoned.v_north, reckoned.v_east, reckoned.yaw, reckoned.yaw_rate)
-        self._look_whether_it_obeys(turning, now)
+        self._look_whether_it_moves(turning, now)
         hindrance = self._hindrance(now)
         return Motion(
             ticks=(),
@@ -369,25 +367,21 @@ class Session:
             self._mode_asked, self._confirmed = mode, False
         return self._commands.ask(("mode", mode), _DO_SET_MODE, _CUSTOM_MODE, mode)
 
-    def _look_whether_it_obeys(self, turning: tuple[float, float, float], now: Time) -> None:
-        """What is told to drive has to, and not the other way."""
-        (told_u, told_w, _), (u, w, v) = self._applied, turning
-        drives, turns = abs(told_u) > _TOLD_MPS, abs(told_w) > _TOLD_RADPS
-        wrong, within = "", MOVES_WITHIN
-        if (drives and told_u * u < 0.0 and abs(u) > _STILL_MPS) or (
-            turns and told_w * w < 0.0 and abs(w) > _STILL_RADPS
-        ):
-            wrong, within = "moves the other way (its motors, its compass)", OBEYS_WITHIN
-        elif (drives or turns) and math.hypot(u, v) <= _SEEN_MPS and abs(w) <= _SEEN_RADPS:
-            wrong = "does not move (a safety switch, its motors)"
-        if wrong != self._wrong[1]:
-            self._wrong = now, wrong
-        elif wrong and now - self._wrong[0] > within and not self._stuck:
+    def _look_whether_it_moves(self, turning: tuple[float, float, float], now: Time) -> None:
+        """What is told to drive has to."""
+        u, w, v = turning
+        told = abs(self._applied.u) > _TOLD_MPS or abs(self._applied.w) > _TOLD_RADPS
+        if not told or math.hypot(u, v) > _SEEN_MPS or abs(w) > _SEEN_RADPS:
+            self._still_since = None
+            return
+        if self._still_since is None:
+            self._still_since = now
+        elif now - self._still_since > MOVES_WITHIN and not self._stuck:
             self._stuck = (
-                f"it was told to drive for {to_seconds(within):g} s and {wrong}; it has to be put into HOLD "
-                "and back into GUIDED, armed"
+                f"it was told to drive for {to_seconds(MOVES_WITHIN):g} s and does not move (a safety "
+                "switch, its motors); it has to be put into HOLD and back into GUIDED, armed"
             )
-            self._away, self._wrong = False, (now, "")
+            self._away, self._still_since = False, None
 
     # What hinders.
 
@@ -591,7 +585,7 @@ class Session:
         if vehicle.mode == GUIDED and vehicle.armed:
             self.state, self._step, self._refusal = "active", None, None
             self._owns, self._confirmed, self._mode_asked = True, True, GUIDED
-            self._wrong = now, ""
+            self._still_since = None
             return ""
         if vehicle.mode != GUIDED:
             self._owns = True

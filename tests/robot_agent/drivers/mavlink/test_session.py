@@ -540,30 +540,6 @@ def test_a_position_estimate_that_is_lost() -> None:
     assert bench.velocity.u == pytest.approx(0.3, abs=0.01)
 
 
-@pytest.mark.parametrize(("told", "signs"), [((0.3, 0.0), (-1.0, 1.0)), ((0.2, 0.5), (1.0, -1.0))])
-def test_what_moves_the_other_way_is_stopped(told: tuple[float, float], signs: tuple[float, float]) -> None:
-    """Crossed motors, or a heading that is half a turn off."""
-    bench = driving(*told)
-    assert bench.motions[-1].controllable
-    bench.signs = signs
-    bench.until(lambda: not bench.motions[-1].controllable, 1.2)
-    assert "was told to drive for 1 s and moves the other way" in bench.motions[-1].reason
-    bench.run(0.1)
-    assert bench.velocities()[-1] == (0.0, 0.0)
-    bench.run(2.0)
-    assert bench.velocity == pytest.approx((0.0, 0.0, 0.0), abs=0.01)
-
-
-def test_what_turns_round_is_not_taken_for_disobedient() -> None:
-    """As fast as the guard lets it, over and over."""
-    bench = driving(0.7, 1.0)
-    for k in range(400):
-        share = math.cos(0.03 * k)
-        bench.order = drive(0.7 * share, 1.0 * share)
-        bench.run(0.05)
-        assert bench.motions[-1].controllable, bench.motions[-1].reason
-
-
 def test_what_does_not_move_though_it_is_told_to() -> None:
     bench = driving()
     bench.blocked, bench.velocity = True, Velocity()
