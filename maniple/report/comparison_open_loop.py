@@ -48,8 +48,12 @@ RECORDED = {
     "clocks": "what the clock of each node showed is recorded",
     "seed": "what chance did is recorded",
     "placement": "the recorded commands are for the layers as they were placed",
+    "preflight.enabled": "what the pre-flight check goes by is said only where there is one, and is recorded",
+    "robots.*.driver": "who brought what each robot measured is recorded",
+    "robots.*.scans": "who brought what each robot sensed is recorded",
+    "robots.*.presents": "who brought what each robot measured is recorded",
 }
-"""Parts of a scenario that can't be others with the inputs as they were, and why."""
+"""Parts of a scenario that can't be others with the inputs as they were, `*` for any robot, and why."""
 
 AT_LIMIT = 0.999
 """From this share of a limit on a command is said to be at it."""
@@ -112,7 +116,9 @@ def require_open_loop(changes: Iterable[FieldChange], recorded: Scenario, change
     if [robot.id for robot in recorded.robots] != [robot.id for robot in changed.robots]:
         raise ArgumentError("robots: the recorded inputs are of those that were there; use --closed-loop")
     for change in changes:
-        if reason := RECORDED.get(change.field.partition(".")[0]):
+        part = change.field.split(".")
+        names = (part[0], change.field, ".".join([part[0], "*", *part[2:]]))
+        if reason := next((RECORDED[name] for name in names if name in RECORDED), ""):
             raise ArgumentError(f"{change.field}: {reason}, and stays as it is; use --closed-loop")
 
 

@@ -122,6 +122,9 @@ def test_a_layer_that_is_left_out_does_not_hear_what_it_needed(tmp_path: Path) -
         ("seed=2", "what chance did is recorded"),
         ("placement.robot_from=drive", "for the layers as they were placed"),
         ("robots.r4.id=r5", "those that were there"),
+        ("preflight.enabled=true", "what the pre-flight check goes by"),
+        ("robots.r2.driver=ros2", "who brought what each robot measured"),
+        ("robots.r3.scans=ros2", "who brought what each robot sensed"),
     ],
 )
 def test_what_inputs_that_are_recorded_leave_no_room_for(log: Path, override: str, why: str) -> None:
