@@ -153,6 +153,7 @@ def driver(platoon: Processes, folder: Path, *arguments: object) -> Any:
     )
 
 
+@pytest.mark.slow
 def test_a_driver_by_hand_and_its_end(folder: Path) -> None:
     """One of a name; SIGTERM lets the robot stand; it does without what the other commands load."""
     with routed(folder) as (platoon, session):

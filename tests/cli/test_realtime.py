@@ -146,6 +146,7 @@ def assert_came_through(run: Run, errors: float = 0.03, within_s: float = 400.0)
     return found
 
 
+@pytest.mark.slow
 def test_three_robots(tmp_path: Path) -> None:
     with running(tmp_path, write(tmp_path), "--speed", 5) as run:
         eventually(lambda: len(run.children()) == 7)

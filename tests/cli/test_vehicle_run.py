@@ -57,6 +57,7 @@ def test_who_is_shown_as_nothing_is_refused(tmp_path: Path) -> None:
             node_commands.main(["vehicle", robot, "--scenario", str(path)])
 
 
+@pytest.mark.slow
 def test_a_taken_port_is_said_and_the_end_may_be_asked_for(
     tmp_path: Path, router: tuple[str, ZenohSession]
 ) -> None:

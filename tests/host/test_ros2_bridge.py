@@ -173,6 +173,7 @@ def test_what_is_no_message_of_the_platoon_is_counted() -> None:
     assert told.refused == {"corrupted": 1, "malformed": 1, "sender": 1}
 
 
+@pytest.mark.slow
 def test_it_says_who_runs_another_scenario_and_when_a_router_is_gone() -> None:
     said: list[str] = []
     ros = f"tcp/127.0.0.1:{free_port()}"

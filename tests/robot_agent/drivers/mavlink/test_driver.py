@@ -145,7 +145,10 @@ def test_a_step_that_is_not_open_is_refused(make_scenario: MakeScenario) -> None
         driver_of(scenario_of(make_scenario)).take("activate", 0)
 
 
-@pytest.mark.parametrize("kind", ["tcp", "udpin", "udpout", "tcpin"])
+@pytest.mark.parametrize(
+    "kind",
+    ["tcp", "udpin", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("udpout", "tcpin"))],
+)
 def test_from_closed_to_driving_and_back(make_scenario: MakeScenario, stack: ExitStack, kind: str) -> None:
     port = free_port(socket.SOCK_DGRAM if kind.startswith("udp") else socket.SOCK_STREAM)
     scenario = scenario_of(make_scenario, connection=f"{kind}:127.0.0.1:{port}")

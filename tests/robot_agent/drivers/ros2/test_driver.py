@@ -190,6 +190,7 @@ def test_too_much_is_clipped_and_a_robot_that_can_not_goes_not_sideways(bench: B
     assert velocity_of(bench.robot.heard[-1]) == (able.u_max_mps, -able.w_max_radps, 0.0)
 
 
+@pytest.mark.slow
 def test_no_router_is_told_and_tried_again(endpoint: str) -> None:
     bench = Bench(f"tcp/127.0.0.1:{free_port()}")
     bench.take("connect")
@@ -232,6 +233,7 @@ def test_odometry_that_does_not_come_is_told_and_of_another_type_too(endpoint: s
     bench.says("but geometry_msgs/msg/Twist")
 
 
+@pytest.mark.slow
 def test_odometry_that_comes_too_seldom_is_told(bench: Bench) -> None:
     bench.bring_up("connect")
     robot, bench.robot = bench.robot, None
@@ -481,7 +483,7 @@ def test_while_its_cable_is_cut_the_robot_stands_and_afterwards_is_where_it_roll
         bench.take("close")
 
 
-@pytest.mark.parametrize("layout", ["rmw_zenoh", "ros2dds"])
+@pytest.mark.parametrize("layout", ["rmw_zenoh", pytest.param("ros2dds", marks=pytest.mark.slow)])
 def test_ten_thousand_corrupted_messages_are_counted_and_move_nothing(layout: Layout) -> None:
     """Into a driver that is configured and into the robot, from which nobody wants anything."""
     extra = f"ros2 = {{ layout = '{layout}' }}"
