@@ -2,11 +2,8 @@
 binary of it that was built for its simulator (SITL)."""
 
 import math
-import os
-import socket
-import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -18,66 +15,15 @@ from maniple.core.time import MILLISECOND
 from maniple.transport.mavlink import MavlinkLink
 from robot_agent.drivers.interface import Step
 from robot_agent.drivers.mavlink.driver import MavlinkDriver
+from tests.ardurover import HOME, ardurover
 from tests.robot_agent.drivers.mavlink.test_driver import driver_of, scenario_of
 from tests.waiting import eventually
 
 MakeScenario = Callable[..., Scenario]
 
-BINARY = os.environ.get("MANIPLE_ARDUROVER", "")
-HOME = (-35.362938, 149.165085, 584.0)
 MANUAL, GUIDED = 0, 15
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        not BINARY, reason="MANIPLE_ARDUROVER names no ArduPilot Rover: not tried on firmware"
-    ),
-]
-
-
-def free_instance() -> int:
-    """Of the simulator: its ports from 5760 + 10 times that on are free."""
-    for instance in range(50, 400):
-        base = 5760 + 10 * instance
-        try:
-            for port in (base, base + 2, base + 3):
-                with socket.create_server(("127.0.0.1", port)):
-                    pass
-        except OSError:
-            continue
-        return instance
-    raise AssertionError("no free ports")
-
-
-@pytest.fixture(scope="module")
-def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
-    """Of the first serial port of a rover; two further on is the second, for the pilot."""
-    folder = tmp_path_factory.mktemp("ardurover")
-    parameters = folder / "rover.parm"
-    parameters.write_text("WP_SPEED 2\nCRUISE_SPEED 1\nFS_THR_ENABLE 0\n")
-    instance = free_instance()
-    home = ",".join(map(str, (*HOME, 0.0)))
-    command = [
-        BINARY,
-        "-w",
-        "-M",
-        "rover",
-        "--home",
-        home,
-        "-I",
-        str(instance),
-        "--defaults",
-        str(parameters),
-    ]
-    with Path(folder / "log").open("w") as log:
-        process = subprocess.Popen(
-            command, cwd=folder, stdout=log, stderr=log, stdin=subprocess.DEVNULL, start_new_session=True
-        )
-        try:
-            yield 5760 + 10 * instance
-        finally:
-            process.kill()
-            process.wait()
+pytestmark = pytest.mark.slow
 
 
 class Bench:
@@ -117,7 +63,12 @@ class Bench:
         return self.motions[-1]
 
 
-def test_all_of_it(make_scenario: MakeScenario, port: int) -> None:
+def test_all_of_it(make_scenario: MakeScenario, tmp_path: Path) -> None:
+    with ardurover(tmp_path) as port:
+        drives_and_gives_way(make_scenario, port)
+
+
+def drives_and_gives_way(make_scenario: MakeScenario, port: int) -> None:
     bench = Bench(driver_of(scenario_of(make_scenario, connection=f"tcp:127.0.0.1:{port}", origin=HOME)))
     driver = bench.driver
     way: tuple[tuple[Step, DriverState, float], ...] = (
